@@ -1,0 +1,222 @@
+"""What composes on a signal's path: the command's way to the spool, and the sensors.
+
+A channel maps `(memory, signal) -> (memory, signal)` over one tick and is the identity
+when its strengths are zero, with a live derivative there. On the command's path the
+signal is the *mean* over the tick, since a chamber integrates it; a sensor's signal is
+its value at the end of the tick, taken as linear in between.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .params import param
+
+QUEUE = 32
+"""Ticks of command that a delay can reach back."""
+
+
+class CommandChannel(eqx.Module):
+    """A channel on the valve command: `init(u) -> memory`, `step(memory, u, h)`."""
+
+    name: ClassVar[str]
+    place: ClassVar[str] = "command"
+    needs: ClassVar[tuple[str, ...]] = ("u",)
+    betrayed_by: ClassVar[str] = "u"
+
+    def init(self, u: Array):
+        """Memory at rest under the command `u`."""
+        return ()
+
+    def step(self, memory, u: Array, h: Array):
+        """One tick of length `h`: new memory and the mean of the output over it."""
+        raise NotImplementedError
+
+
+class ValveDelay(CommandChannel):
+    """`u(t - tau_u)` of a held command (V13); exact for the mean over a tick."""
+
+    name = "valve_delay"
+    betrayed_by = "u_rate"
+    tau_u: Array = param(
+        "s", 0.0, 0.0, 0.03, "command delay", strength=True, size=1e-3
+    )
+
+    def init(self, u):
+        return jnp.broadcast_to(u[..., None], (*jnp.shape(u), QUEUE))
+
+    def step(self, memory, u, h):
+        memory = jnp.concatenate([u[..., None], memory[..., :-1]], axis=-1)
+        ticks = jnp.broadcast_to(self.tau_u / h, u.shape)
+        whole = jnp.clip(jnp.floor(ticks), 0, QUEUE - 2).astype(int)[..., None]
+        newer = jnp.take_along_axis(memory, whole, axis=-1)[..., 0]
+        older = jnp.take_along_axis(memory, whole + 1, axis=-1)[..., 0]
+        return memory, newer + (ticks - whole[..., 0]) * (older - newer)
+
+
+class ValveBias(CommandChannel):
+    """`u + u_0` (V6)."""
+
+    name = "valve_bias"
+    u_0: Array = param("{u}", 0.0, -3.0, 3.0, "null bias", strength=True, size=0.05)
+
+    def step(self, memory, u, h):
+        return memory, u + self.u_0
+
+
+class ValveHysteresis(CommandChannel):
+    """Play of half-width `u_h` (V7): the output moves only when pushed."""
+
+    name = "valve_hysteresis"
+    betrayed_by = "u_rate"
+    u_h: Array = param(
+        "{u}", 0.0, 0.0, 2.0, "half-width of the play", strength=True, size=0.05
+    )
+
+    def init(self, u):
+        return u
+
+    def step(self, memory, u, h):
+        # Where nothing pushes the memory stays, its derivative with it: at u_h = 0
+        # that is the one-sided derivative, which a clip would halve.
+        lag = memory - u
+        stay = jnp.where(lag < -self.u_h, u - self.u_h, memory)
+        out = jnp.where(lag > self.u_h, u + self.u_h, stay)
+        return out, out
+
+
+class ValveLag(CommandChannel):
+    """Second-order spool (V1), exact for a held command and averaged over the tick.
+
+    Stored as `tau = 1/omega` so that absent is 0. The mean over the tick keeps the
+    derivative alive there, which the value at the tick's end would not. `zeta` is
+    taken up to 1: a slower spool than critical is seen as critical.
+    """
+
+    name = "valve_lag"
+    betrayed_by = "u_rate"
+    tau: Array = param(
+        "s",
+        0.0,
+        0.0,
+        0.05,
+        "spool natural frequency",
+        strength=True,
+        size=5e-4,
+        outside=("omega", "rad/s"),
+    )
+    zeta: Array = param("1", 0.7, 0.2, 0.99, "spool damping ratio", prior=0.1)
+
+    def init(self, u):
+        return u, jnp.zeros_like(u)
+
+    def step(self, memory, u, h):
+        y, rate = memory  # the spool's place, and its rate times tau
+        off = y - u
+        absent = self.tau <= 0
+        s = h / jnp.where(absent, 1.0, self.tau)
+        zeta = jnp.clip(self.zeta, 0.0, 0.999)
+        w = jnp.sqrt(1 - zeta**2)
+        fade = jnp.where(absent, 0.0, jnp.exp(-zeta * s))
+        cos, sin = fade * jnp.cos(w * s), fade * jnp.sin(w * s) / w
+        off_new = (cos + zeta * sin) * off + sin * rate
+        rate_new = -sin * off + (cos - zeta * sin) * rate
+        # Integral of the offset over the tick, from A^-1 (e^{Ah} - 1).
+        area = self.tau * (2 * zeta * (off - off_new) + (rate - rate_new))
+        return (u + off_new, rate_new), u + area / h
+
+
+class ValveDeadband(CommandChannel):
+    """Overlap of the lands (V4), a width of its own on each side."""
+
+    name = "valve_deadband"
+    u_dbp: Array = param(
+        "{u}", 0.0, 0.0, 5.0, "overlap, u > 0", strength=True, size=0.05
+    )
+    u_dbn: Array = param(
+        "{u}", 0.0, 0.0, 5.0, "overlap, u < 0", strength=True, size=0.05
+    )
+
+    def step(self, memory, u, h):
+        up = jnp.where(u > self.u_dbp, u - self.u_dbp, 0.0)
+        return memory, up + jnp.where(u < -self.u_dbn, u + self.u_dbn, 0.0)
+
+
+class SensorChannel(eqx.Module):
+    """A channel on a sensor: `init(y, slope) -> memory`, `step(memory, y, h)`."""
+
+    name: ClassVar[str]
+    place: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]]
+    betrayed_by: ClassVar[str]
+
+    def init(self, y: Array, slope: Array):
+        """Memory when the signal has run along a line of this slope until now."""
+        return ()
+
+    def step(self, memory, y: Array, h: Array):
+        """One tick of length `h` at whose end the signal is `y`: memory, reading."""
+        raise NotImplementedError
+
+
+class _Lag(SensorChannel):
+    """First-order lag of a signal that is linear over each tick, exact."""
+
+    def lag(self) -> Array:
+        """The time constant, s."""
+        raise NotImplementedError
+
+    def init(self, y, slope):
+        return y, y - self.lag() * slope
+
+    def step(self, memory, y, h):
+        before, out = memory
+        tau = self.lag()
+        absent = tau <= 0
+        fade = jnp.where(absent, 0.0, jnp.exp(-h / jnp.where(absent, 1.0, tau)))
+        drag = tau * (y - before) / h
+        out = y - drag + (out - before + drag) * fade
+        return (y, out), out
+
+
+class LoadcellLag(_Lag):
+    """First-order lag of the load cell (S1)."""
+
+    name = "loadcell_lag"
+    place = "sensor_F"
+    needs = ("F",)
+    betrayed_by = "F_rate"
+    tau_F: Array = param("s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4)
+
+    def lag(self):
+        return self.tau_F
+
+
+class LoadcellGain(SensorChannel):
+    """Gain error of the load cell (S3): `F_m = (1 + eps) F`."""
+
+    name = "loadcell_gain"
+    place = "sensor_F"
+    needs = ("F",)
+    betrayed_by = "F"
+    eps: Array = param("1", 0.0, -0.5, 0.5, "gain error", strength=True, size=0.01)
+
+    def step(self, memory, y, h):
+        return memory, (1 + self.eps) * y
+
+
+class PressureSensorLag(_Lag):
+    """First-order lag of both pressure sensors (S5)."""
+
+    name = "pressure_sensor_lag"
+    place = "sensor_P"
+    needs = ("u", "P_a1", "P_a2")
+    betrayed_by = "P_rate"
+    tau_P: Array = param("s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4)
+
+    def lag(self):
+        return self.tau_P

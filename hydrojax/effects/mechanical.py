@@ -1,0 +1,169 @@
+"""Effects that add in the mechanics: Coulomb level, friction forces, forces."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..friction import Sliding
+from ..params import param
+
+
+class LevelEffect(eqx.Module):
+    """Adds to the Coulomb level: `level(at, base) -> N`."""
+
+    name: ClassVar[str]
+    place: ClassVar[str] = "level"
+    needs: ClassVar[tuple[str, ...]] = ("F",)
+    betrayed_by: ClassVar[str]
+
+    def level(self, at: Sliding, base: Array) -> Array:
+        """What is added to the Coulomb level `base` (N) of this direction."""
+        raise NotImplementedError
+
+
+class Stribeck(LevelEffect):
+    """Rise of the Coulomb level near standstill (F2)."""
+
+    name = "stribeck"
+    betrayed_by = "v"
+    k_st: Array = param("N", 0.0, -1e4, 1e4, "rise", strength=True, size=50.0)
+    v_s: Array = param(
+        "m/s", 5e-3, 3e-4, 0.1, "Stribeck speed", grid=(1.5e-3, 5e-3, 1.5e-2)
+    )
+
+    def level(self, at, base):
+        return self.k_st * jnp.exp(-((at.v / self.v_s) ** 2))
+
+
+class PressureFriction(LevelEffect):
+    """Seal friction that grows with pressure (F5)."""
+
+    name = "pressure_friction"
+    needs = ("F", "P_a2")
+    betrayed_by = "P_a1 + P_a2"
+    a: Array = param("1", 0.0, -500.0, 500.0, "growth", strength=True, size=0.1)
+
+    def level(self, at, base):
+        return base * self.a * (at.P_a1 + at.P_a2) / (2 * at.P_s)
+
+
+class PositionFriction(LevelEffect):
+    """Coulomb level that varies along the stroke (F6): six cosines, zero mean.
+
+    `x_from` and `x_to` are the travel over which the cosines run, taken from the logs
+    that are fitted; outside it the level stays at its end value.
+    """
+
+    name = "position_friction"
+    betrayed_by = "x"
+    x_from: Array = eqx.field(default=-0.1, converter=lambda x: jnp.asarray(x, float))
+    x_to: Array = eqx.field(default=0.1, converter=lambda x: jnp.asarray(x, float))
+    a_1: Array = param("1", 0.0, -1.0, 1.0, "half wave", strength=True, size=0.05)
+    a_2: Array = param("1", 0.0, -1.0, 1.0, "one wave", strength=True, size=0.05)
+    a_3: Array = param("1", 0.0, -1.0, 1.0, "1.5 waves", strength=True, size=0.05)
+    a_4: Array = param("1", 0.0, -1.0, 1.0, "two waves", strength=True, size=0.05)
+    a_5: Array = param("1", 0.0, -1.0, 1.0, "2.5 waves", strength=True, size=0.05)
+    a_6: Array = param("1", 0.0, -1.0, 1.0, "three waves", strength=True, size=0.05)
+
+    def level(self, at, base):
+        s = jnp.clip((at.x - self.x_from) / (self.x_to - self.x_from), 0.0, 1.0)
+        c = jnp.cos(jnp.pi * s)
+        waves, last = c * self.a_1, (jnp.ones_like(c), c)
+        # Chebyshev's recurrence: cos((k+1) y) = 2 cos y cos(k y) - cos((k-1) y).
+        for a in (self.a_2, self.a_3, self.a_4, self.a_5, self.a_6):
+            last = (last[1], 2 * c * last[1] - last[0])
+            waves = waves + a * last[1]
+        return base * waves
+
+
+class FrictionDrift(LevelEffect):
+    """Coulomb level that drifts as the rig warms (F11)."""
+
+    name = "friction_drift"
+    betrayed_by = "t"
+    a: Array = param("1", 0.0, -3.0, 3.0, "drift", strength=True, size=0.05)
+    tau: Array = param("s", 10.0, 0.5, 1e3, "time constant", grid=(3.0, 10.0, 40.0))
+
+    def level(self, at, base):
+        return base * self.a * jnp.expm1(-at.t / self.tau)
+
+
+class FrictionForce(eqx.Module):
+    """Adds a friction force inside f_c: `force(at) -> N`."""
+
+    name: ClassVar[str]
+    place: ClassVar[str] = "friction"
+    needs: ClassVar[tuple[str, ...]] = ("F",)
+    betrayed_by: ClassVar[str]
+
+    def force(self, at: Sliding) -> Array:
+        """Friction force beside the paper's f_c, N."""
+        raise NotImplementedError
+
+
+class ViscousFriction(FrictionForce):
+    """Viscous friction `b v` (F1)."""
+
+    name = "viscous_friction"
+    betrayed_by = "v"
+    b: Array = param("N*s/m", 0.0, -1e6, 1e6, "viscous", strength=True, size=300.0)
+
+    def force(self, at):
+        return self.b * at.v
+
+
+class BristleDamping(FrictionForce):
+    """Damping of the bristles `sigma_1 dz/dt` (F3), dropped in Remark 2.1."""
+
+    name = "bristle_damping"
+    betrayed_by = "z_rate"
+    sigma_1: Array = param("N*s/m", 0.0, 0.0, 1e7, "damping", strength=True, size=5e3)
+
+    def force(self, at):
+        return self.sigma_1 * at.z_rate
+
+
+class ForceEffect(eqx.Module):
+    """Adds a force between piston and load cell: `force(at) -> N`."""
+
+    name: ClassVar[str]
+    place: ClassVar[str] = "force"
+    needs: ClassVar[tuple[str, ...]] = ("F",)
+    betrayed_by: ClassVar[str]
+
+    def force(self, at: Sliding) -> Array:
+        """Force added to what the load cell feels, N."""
+        raise NotImplementedError
+
+
+class PayloadInertia(ForceEffect):
+    """Mass between piston and load cell (M1): `-m a`."""
+
+    name = "payload_inertia"
+    betrayed_by = "a"
+    m: Array = param("kg", 0.0, 0.0, 1e5, "mass", strength=True, size=5.0)
+
+    def force(self, at):
+        return -self.m * at.a
+
+
+class GravityLoad(ForceEffect):
+    """Weight of that mass about the joint (M2): `w sin(psi + psi_0)`.
+
+    Stored as `w_s = w cos(psi_0)` and `w_c = w sin(psi_0)`, which are linear.
+    """
+
+    name = "gravity_load"
+    needs = ("F", "psi")
+    betrayed_by = "psi"
+    radius: Array = eqx.field(default=1.0, converter=lambda x: jnp.asarray(x, float))
+    w_s: Array = param("N", 0.0, -1e6, 1e6, "w cos(psi_0)", strength=True, size=50.0)
+    w_c: Array = param("N", 0.0, -1e6, 1e6, "w sin(psi_0)", strength=True, size=50.0)
+
+    def force(self, at):
+        psi = at.x / self.radius
+        return self.w_s * jnp.sin(psi) + self.w_c * jnp.cos(psi)

@@ -1,0 +1,100 @@
+"""Valve lands and chambers: flows (12)(13), pressure rates (14)(15).
+
+Pushes add: effects hand in flows into the chambers, compliances beside 1/beta and
+pressure drops ahead of the valve; each is zero when the effect is absent.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .params import param
+
+LAMINAR_CORE = 2.0e3
+"""Width (Pa) of the laminar core of `root_flow`: it lowers the turbulent flow by
+`(core / drop)^2 / 4`, 4e-8 of it at a drop of 5 MPa, and 1 % at 10 kPa."""
+
+_C_UNIT = "m^3/(s*{u}*Pa^0.5)"
+
+
+def root_flow(drop: Float[Array, "..."], core: float = LAMINAR_CORE) -> Array:
+    """Signed square root of a pressure drop with a laminar core, in Pa^0.5.
+
+    `drop / (drop^2 + core^2)^(1/4)`: odd, smooth, slope `core^-0.5` at zero, and
+    sqrt(drop) as `core` goes to 0 (the paper's (8)).
+    """
+    return drop / jnp.sqrt(jnp.sqrt(drop * drop + core * core))
+
+
+class Point(NamedTuple):
+    """Where the hydraulics stand at one instant; SI, every field of one shape."""
+
+    P_a1: Array
+    P_a2: Array
+    P_s: Array
+    P_r: Array
+    u: Array
+    x: Array
+    v: Array
+
+
+class Lands(eqx.Module):
+    """The four metering edges of the valve, (12)(13)."""
+
+    c_p1: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "supply to chamber 1")
+    c_n1: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "chamber 1 to return")
+    c_p2: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "supply to chamber 2")
+    c_n2: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "chamber 2 to return")
+
+    def flows(self, at: Point, drops: tuple = ()) -> tuple[Array, Array]:
+        """Flows into chambers 1 and 2, m^3/s.
+
+        `drops` are effects ahead of the valve: each maps the conductance of the edge
+        that draws on the supply (m^3/(s Pa^0.5)) and the pressure available across
+        it to a pressure drop.
+        """
+        opens = at.u > 0
+        chamber = jnp.where(opens, at.P_a1, at.P_a2)
+        edge = jnp.where(opens, self.c_p1, self.c_p2) * jnp.abs(at.u)
+        available = at.P_s - chamber
+        across = available - sum(d.drop(edge, available) for d in drops)
+        drawn = edge * root_flow(across)
+        other = jnp.where(opens, at.P_a2, at.P_a1)
+        drain = jnp.where(opens, self.c_n2, self.c_n1) * jnp.abs(at.u)
+        returned = drain * root_flow(other - at.P_r)
+        return jnp.where(opens, drawn, -returned), jnp.where(opens, -returned, drawn)
+
+
+class Chambers(eqx.Module):
+    """Two chambers of fluid: volumes (10)(11) and pressure rates (14)(15)."""
+
+    area_1: Array
+    area_2: Array
+    length: Array
+    beta: Array = param("Pa", 8.5e8, 1e7, 1e10, "bulk modulus")
+    delta_1: Array = param("m", 0.0, -0.5, 0.5, "assembly offset of chamber 1")
+    delta_2: Array = param("m", 0.0, -0.5, 0.5, "assembly offset of chamber 2")
+
+    def lengths(self, x: Array) -> tuple[Array, Array]:
+        """Lengths of chambers 1 and 2 at piston position `x`, m; (10)(11)."""
+        half = self.length / 2
+        return half + self.delta_1 - x, half + self.delta_2 + x
+
+    def rates(
+        self, at: Point, q_1: Array, q_2: Array, softness: tuple = ()
+    ) -> tuple[Array, Array]:
+        """Pressure rates (Pa/s) for flows into the chambers; (14)(15).
+
+        `softness` are effects that add compliance (1/Pa) beside 1/beta.
+        """
+        x_1, x_2 = self.lengths(at.x)
+        stiff_1 = 1 / (1 / self.beta + sum(s.compliance(at.P_a1) for s in softness))
+        stiff_2 = 1 / (1 / self.beta + sum(s.compliance(at.P_a2) for s in softness))
+        return (
+            stiff_1 * (q_1 / self.area_1 + at.v) / x_1,
+            stiff_2 * (q_2 / self.area_2 - at.v) / x_2,
+        )

@@ -1,0 +1,316 @@
+"""A rig: one pytree of plant, signal paths and effects, and its one step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .friction import Friction, Sliding
+from .hydraulics import Chambers, Lands, Point
+from .params import Spec, specs
+
+PLACES = (
+    "command",
+    "supply",
+    "flow",
+    "compliance",
+    "level",
+    "friction",
+    "force",
+    "sensor_P",
+    "sensor_F",
+)
+"""Where an effect can act, in the order of the signal path."""
+
+HYDRAULIC = ("lands", "chambers", "command", "supply", "flow", "compliance")
+"""The parts of a rig on which the pressures depend."""
+
+
+class Tick(NamedTuple):
+    """What drives the plant over one tick of length `h`; SI.
+
+    Motion is given at the ends and middles of the substeps, so `x` and `v` are
+    [..., 2n + 1] for n substeps; `P_s` and `P_r` are [..., 2], at the tick's ends;
+    `u` is held.
+    """
+
+    h: Array
+    u: Array
+    P_s: Array
+    P_r: Array
+    x: Array
+    v: Array
+    dx: Array  # [..., 4] displacement over each quarter of the tick, for the bristle
+    a: Array  # at the tick's end
+    t: Array  # at the tick's end
+
+
+class State(NamedTuple):
+    """What the plant remembers: independent quantities only."""
+
+    command: tuple
+    P: tuple[Array, Array]
+    z: Array
+    speed: Array
+    sensor_P: tuple  # of chamber 1, of chamber 2
+    sensor_F: tuple
+
+
+class Rig(eqx.Module):
+    """The plant of the paper, with what it lacks added as values.
+
+    `force_area_1` and `_2` turn pressures into drive force (16); they differ from the
+    chambers' areas only where a chamber is open (`single`).
+    """
+
+    lands: Lands
+    chambers: Chambers
+    mechanics: Friction
+    force_area_1: Array
+    force_area_2: Array
+    command: tuple = ()
+    supply: tuple = ()
+    flow: tuple = ()
+    compliance: tuple = ()
+    level: tuple = ()
+    friction: tuple = ()
+    force: tuple = ()
+    sensor_P: tuple = ()
+    sensor_F: tuple = ()
+
+    # -- the pieces of the step, each elementwise over any leading axes --
+
+    def command_init(self, u: Array) -> tuple:
+        """Memories of the command's path at rest under `u`."""
+        return tuple(c.init(u) for c in self.command)
+
+    def command_step(self, memory: tuple, u: Array, h: Array) -> tuple[tuple, Array]:
+        """The command's way to the spool over one tick: memory, mean opening."""
+        out = []
+        for channel, m in zip(self.command, memory, strict=True):
+            m, u = channel.step(m, u, h)
+            out.append(m)
+        return tuple(out), u
+
+    def pressure_rates(self, at: Point) -> tuple[Array, Array]:
+        """Rates of both chamber pressures, Pa/s; (12)-(15)."""
+        q_1, q_2 = self.lands.flows(at, self.supply)
+        for effect in self.flow:
+            e_1, e_2 = effect.flow(at)
+            q_1, q_2 = q_1 + e_1, q_2 + e_2
+        return self.chambers.rates(at, q_1, q_2, self.compliance)
+
+    def pressure_step(self, P: tuple, u: Array, tick: Tick) -> tuple[Array, Array]:
+        """Both pressures over one tick: classical Runge-Kutta in n substeps."""
+        n = (tick.x.shape[-1] - 1) // 2
+        h = tick.h / n
+        rise_s, rise_r = (p[..., 1] - p[..., 0] for p in (tick.P_s, tick.P_r))
+
+        def rates(P, k):
+            part = k / (2 * n)
+            p_s = tick.P_s[..., 0] + part * rise_s
+            p_r = tick.P_r[..., 0] + part * rise_r
+            at = Point(P[0], P[1], p_s, p_r, u, tick.x[..., k], tick.v[..., k])
+            return self.pressure_rates(at)
+
+        def moved(P, by, rate):
+            return P[0] + by * rate[0], P[1] + by * rate[1]
+
+        for i in range(n):
+            r_1 = rates(P, 2 * i)
+            r_2 = rates(moved(P, h / 2, r_1), 2 * i + 1)
+            r_3 = rates(moved(P, h / 2, r_2), 2 * i + 1)
+            r_4 = rates(moved(P, h, r_3), 2 * i + 2)
+            mean = [
+                (a + 2 * b + 2 * c + d) / 6
+                for a, b, c, d in zip(r_1, r_2, r_3, r_4, strict=True)
+            ]
+            P = moved(P, h, mean)
+        return P
+
+    def drive_force(self, P_a1: Array, P_a2: Array) -> Array:
+        """Net drive force P, N; (16) with two areas."""
+        return self.force_area_2 * P_a2 - self.force_area_1 * P_a1
+
+    def output_force(self, at: Sliding) -> Array:
+        """F at the load cell, before the sensor, N; (22) and the added forces."""
+        f_c = self.mechanics.sliding_force(at, self.level, self.friction)
+        P = self.drive_force(at.P_a1, at.P_a2)
+        F = self.mechanics.output_force(P, f_c, self.mechanics.switch(at.speed))
+        return F + sum(e.force(at) for e in self.force)
+
+    # -- the one step --
+
+    def init(self, u: Array, P_a1: Array, P_a2: Array, x: Array) -> State:
+        """At rest at `x` under the command `u`, with pressures `P_a1`, `P_a2`."""
+        rest = jnp.zeros_like(P_a1)
+        at = Sliding(rest, x, rest, rest, rest, rest, rest, P_a1, P_a2, P_a1 + 1.0)
+        F = self.output_force(at)
+        sensors = tuple(
+            tuple(s.init(p, rest) for s in self.sensor_P) for p in (P_a1, P_a2)
+        )
+        cell = tuple(s.init(F, rest) for s in self.sensor_F)
+        return State(self.command_init(u), (P_a1, P_a2), rest, rest, sensors, cell)
+
+    def step(self, state: State, tick: Tick) -> tuple[State, dict[str, Array]]:
+        """Act over one tick, then sense at its end.
+
+        Returns the new state and what the sensors read, `P_a1 P_a2 F` in SI.
+        """
+        command, u = self.command_step(state.command, tick.u, tick.h)
+        P = self.pressure_step(state.P, u, tick)
+        z, speed = state.z, state.speed
+        for i in range(tick.dx.shape[-1]):
+            dx = tick.dx[..., i]
+            keep, add = self.mechanics.bristle_map(dx)
+            z = keep * z + add
+            keep, add = self.mechanics.speed_map(dx, tick.h / tick.dx.shape[-1])
+            speed = keep * speed + add
+        x, v = tick.x[..., -1], tick.v[..., -1]
+        rate = self.mechanics.z_rate(z, v)
+        P_s = tick.P_s[..., 1]
+        F = self.output_force(Sliding(tick.t, x, v, tick.a, z, rate, speed, *P, P_s))
+        m_1, P_a1 = self.sense(self.sensor_P, state.sensor_P[0], P[0], tick.h)
+        m_2, P_a2 = self.sense(self.sensor_P, state.sensor_P[1], P[1], tick.h)
+        m_F, cell = self.sense(self.sensor_F, state.sensor_F, F, tick.h)
+        signals = {"P_a1": P_a1, "P_a2": P_a2, "F": cell}
+        return State(command, P, z, speed, (m_1, m_2), m_F), signals
+
+    def sense(self, channels: tuple, memory: tuple, y: Array, h: Array):
+        """One sensor over one tick at whose end the signal is `y`."""
+        out = []
+        for channel, m in zip(channels, memory, strict=True):
+            m, y = channel.step(m, y, h)
+            out.append(m)
+        return tuple(out), y
+
+
+# -- parameters by name --
+
+
+def _parts(rig: Rig) -> Iterable[tuple[str, int | None, str, eqx.Module]]:
+    """(attribute, index in its tuple, prefix of names, module)."""
+    for part in ("lands", "chambers", "mechanics"):
+        yield part, None, "", getattr(rig, part)
+    for place in PLACES:
+        for i, effect in enumerate(getattr(rig, place)):
+            yield place, i, f"{effect.name}.", effect
+
+
+def _modules(rig: Rig) -> dict[str, tuple[str, int | None, str]]:
+    return {
+        prefix + field: (part, i, field)
+        for part, i, prefix, module in _parts(rig)
+        for field in specs(module)
+    }
+
+
+def parameter_specs(rig: Rig) -> dict[str, Spec]:
+    """Every parameter's declaration by name: `beta`, `internal_leakage.c_il`, ..."""
+    return {
+        prefix + field: spec
+        for _, _, prefix, module in _parts(rig)
+        for field, spec in specs(module).items()
+    }
+
+
+def hydraulic_names(rig: Rig) -> frozenset[str]:
+    """Names of the parameters on which the pressures depend."""
+    return frozenset(n for n, at in _modules(rig).items() if at[0] in HYDRAULIC)
+
+
+def _reach(rig: Any, at: tuple[str, int | None, str]) -> Array:
+    part, i, field = at
+    module = getattr(rig, part)
+    return getattr(module if i is None else module[i], field)
+
+
+def get(rig: Rig, names: Sequence[str]) -> Array:
+    """Values of the named parameters, [len(names)], SI.
+
+    Raises:
+        KeyError: a name that the rig has not.
+    """
+    at = _modules(rig)
+    return jnp.stack([_reach(rig, at[name]) for name in names])
+
+
+def put(rig: Rig, names: Sequence[str], values: Array) -> Rig:
+    """The rig with the named parameters set to `values`, [len(names)], SI.
+
+    Values are cast, so that a Python number compiles nothing new.
+
+    Raises:
+        KeyError: a name that the rig has not.
+    """
+    at = _modules(rig)
+    values = jnp.asarray(values, dtype=float)
+    return eqx.tree_at(
+        lambda r: [_reach(r, at[name]) for name in names],
+        rig,
+        [values[i] for i in range(len(names))],
+    )
+
+
+def add(rig: Rig, effects: Iterable[eqx.Module]) -> Rig:
+    """The rig with effects added, each at its own place, in the order given."""
+    places: dict[str, list] = {place: list(getattr(rig, place)) for place in PLACES}
+    for effect in effects:
+        places[effect.place].append(effect)
+    new = {place: tuple(e) for place, e in places.items()}
+    return eqx.tree_at(
+        lambda r: [getattr(r, place) for place in PLACES],
+        rig,
+        [new[place] for place in PLACES],
+        is_leaf=lambda x: isinstance(x, tuple),
+    )
+
+
+def bare_rig(
+    layout: str, geometry: Mapping[str, float] | None = None, **parts: Any
+) -> Rig:
+    """A rig without effects, at the default parameters.
+
+    Args:
+        layout: `pull-pull`, `differential`, `single` or `driven-axis`.
+        geometry: `area` or `area_1`, `area_2` (m^2), `chamber_length` (m).
+        parts: `lands`, `chambers` fields and `mechanics` to replace defaults.
+
+    Raises:
+        KeyError: an area that the layout needs is not there.
+        ValueError: an unknown layout.
+    """
+    g = dict(geometry or {})
+    if layout == "pull-pull":
+        areas, acts = (g["area"], g["area"]), (g["area"], g["area"])
+    elif layout == "differential":
+        areas = acts = (g["area_1"], g["area_2"])
+    elif layout == "single":
+        # Chamber 1 is open: it holds fluid at no pressure and pushes nothing.
+        areas, acts = (g["area"], g["area"]), (0.0, g["area"])
+    elif layout == "driven-axis":
+        # The drive force itself: a pressure of P/(1 m^2) on one square metre.
+        areas, acts = (1.0, 1.0), (0.0, 1.0)
+    else:
+        raise ValueError(f"unknown layout {layout!r}")
+    length = g.get("chamber_length", 1.0)
+    chambers = Chambers(
+        *(jnp.asarray(a, float) for a in (*areas, length)),
+    )
+    return Rig(
+        lands=Lands(),
+        chambers=chambers,
+        mechanics=Friction(),
+        force_area_1=jnp.asarray(acts[0], float),
+        force_area_2=jnp.asarray(acts[1], float),
+    )
+
+
+def scales(spec: Iterable[Spec]) -> np.ndarray:
+    """What one unit of the optimiser's coordinate means for each parameter."""
+    return np.array([s.scale for s in spec])

@@ -1,0 +1,422 @@
+"""Logs: from a file of any accepted kind to SI arrays that can be replayed.
+
+A CSV or Parquet column is called `name [unit]`. In a MAT file the vectors are
+variables called by name, at the top or in a struct `log`; their units are the fields
+of a struct `units`, or variables `<name>_unit`. The rig file's [channels] may rename a
+column, give its unit (which then wins over the file's) and turn its sign round.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pandas as pd
+import scipy.io
+from pydantic import BaseModel, ConfigDict
+
+from hydrojax import units
+from hydrojax.errors import InputError
+
+SIGNALS = {
+    "time": "s", "u": "{u}", "psi": "rad", "x": "m", "v": "m/s", "P_a1": "Pa",
+    "P_a2": "Pa", "P_s": "Pa", "P_r": "Pa", "P": "N", "F": "N", "F_d": "N",
+}  # fmt: skip
+"""What a log may hold, and the SI unit; `{u}` is V or 1."""
+
+_MAY_REST = ("v", "P_s", "P_r", "F_d")  # a constant here is no fault of the log
+_LEAST_ROWS = 50
+_GAP = 2.5  # a step this many times the median is a gap
+
+
+class Channel(BaseModel):
+    """One line of the rig file's [channels]: where a signal is in the logs."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    column: str
+    unit: str | None = None
+    invert: bool = False
+
+
+@dataclass(frozen=True)
+class Log:
+    """One run, in SI.
+
+    Attributes:
+        name: the file's name, such as "fit_1.csv.gz".
+        time: [n] s, strictly rising, starting wherever the file does.
+        signals: by the contract's names, each [n]; NaN where the file has no number.
+        units: the unit each signal is in; that of `u` is "V" or "1".
+        ignored: columns left alone.
+        merged: rows that went into a neighbour of the same stamp.
+        segments: [start, stop) row ranges without a gap or a NaN (`F_d`'s aside).
+        notes: one-line remarks for the report.
+    """
+
+    name: str
+    time: np.ndarray
+    signals: dict[str, np.ndarray]
+    units: dict[str, str]
+    ignored: tuple[str, ...]
+    merged: int
+    segments: tuple[tuple[int, int], ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Column:
+    label: str  # as the file has it, for messages
+    name: str
+    unit: str | None
+    values: Any
+
+
+@dataclass(frozen=True)
+class _File:
+    path: Path
+    columns: list[_Column]
+    header: int  # lines before the first row, 0 if rows are not lines
+
+    def row(self, index: int) -> str:
+        line = f" (line {index + 1 + self.header})" if self.header else ""
+        return f"row {index + 1}{line}"
+
+
+def read_log(
+    path: str | Path,
+    channels: Mapping[str, Channel] | None = None,
+    shortest: float = 0.5,
+) -> Log:
+    """Read a run from .csv, .csv.gz, .parquet or .mat (v5 or v7.3).
+
+    Nothing is interpolated: gaps in time and missing numbers cut the run in segments.
+
+    Args:
+        path: the file; its name's ending says what it is.
+        channels: where signals are that the file calls otherwise, by contract name.
+        shortest: s, the least length of a segment.
+
+    Raises:
+        InputError: the file is not what its name says, lacks `time`, has fewer than 50
+            rows or no segment; a signal has a missing or wrong unit, a cell that is no
+            number, or does not move; time is missing, falls or repeats in some row
+            (rows that share a stamp of a coarse clock are averaged).
+    """
+    path = Path(path)
+    file = _read(path)
+    found, notes = _assign(file, channels or {})
+    arrays, stored = {}, {}
+    for name, (column, unit, sign) in found.items():
+        values, stored[name] = _si(file, name, column, unit)
+        arrays[name] = sign * values
+    rows = len(arrays["time"])
+    for name, values in arrays.items():
+        if len(values) != rows:
+            raise InputError(
+                f"{path}: {found[name][0].label!r} has {len(values)} values, time has "
+                f"{rows}; log both at the same rows"
+            )
+    if rows < _LEAST_ROWS:
+        raise InputError(
+            f"{path}: {rows} rows are too few; a log needs at least {_LEAST_ROWS}"
+        )
+    coarse = _check_time(file, found["time"][0].label, arrays["time"])
+    for name, values in arrays.items():
+        notes += _check_values(file, name, found[name][0].label, values)
+    merged = 0
+    if coarse:
+        arrays, merged = _merge(arrays)
+    if merged:
+        notes.append(f"rows averaged, as they share a coarse time stamp: {merged}")
+    time = arrays.pop("time")
+    stored.pop("time")
+    segments, cuts = _segments(time, arrays, shortest)
+    if not segments:
+        raise InputError(
+            f"{path}: no stretch of {shortest:g} s without a gap or a missing number "
+            f"({'; '.join(cuts) or f'it lasts {time[-1] - time[0]:g} s'}); log longer, "
+            "or take the column with the holes out"
+        )
+    used = {id(column) for column, _, _ in found.values()}
+    ignored = tuple(c.label for c in file.columns if id(c) not in used)
+    return Log(
+        path.name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts)
+    )
+
+
+def _read(path: Path) -> _File:
+    kinds = {
+        ".csv": ("CSV", _csv), ".csv.gz": ("gzipped CSV", _csv),
+        ".parquet": ("Parquet", _parquet), ".mat": ("MAT", _mat),
+    }  # fmt: skip
+    ending = next((e for e in kinds if path.name.lower().endswith(e)), None)
+    if ending is None:
+        raise InputError(f"{path}: not a kind of log; save it as {', '.join(kinds)}")
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; check the path")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty; export the log again")
+    kind, reader = kinds[ending]
+    try:
+        columns = reader(path)
+    except Exception as err:  # every library has its own kinds for a broken file
+        detail = (
+            " ".join(str(err).replace(f" '{path}'", "").split())[:100]
+            or type(err).__name__
+        )
+        raise InputError(
+            f"{path}: not a readable {kind} file ({detail}); export it again as {kind}"
+        ) from err
+    return _File(path, columns, header=1 if reader is _csv else 0)
+
+
+def _labelled(label: object, values: Any) -> _Column:
+    """A column called `name [unit]`."""
+    text = str(label).strip()
+    match = re.fullmatch(r"(.*?)\s*\[(.*)\]", text)
+    if match is None:
+        return _Column(text, text, None, values)
+    return _Column(text, match[1], match[2].strip() or None, values)
+
+
+def _csv(path: Path) -> list[_Column]:
+    options: dict[str, Any] = {
+        "compression": "gzip" if path.name.lower().endswith(".gz") else None,
+        "encoding": "utf-8-sig",
+        "skipinitialspace": True,
+        "header": None,
+        "skip_blank_lines": False,  # so that rows can be counted in lines
+        "index_col": False,
+    }
+    labels = pd.read_csv(path, nrows=1, dtype=str, **options).iloc[0].fillna("")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)  # cells lost
+        frame = pd.read_csv(
+            path, skiprows=1, names=range(len(labels)), low_memory=False, **options
+        )
+    filled = np.flatnonzero(frame.notna().any(axis=1))
+    frame = frame.iloc[: filled[-1] + 1 if len(filled) else 0]
+    return [_labelled(label, frame[i]) for i, label in enumerate(labels)]
+
+
+def _parquet(path: Path) -> list[_Column]:
+    frame = pd.read_parquet(path)
+    if any(name is not None for name in frame.index.names):
+        frame = frame.reset_index()
+    return [_labelled(name, frame.iloc[:, i]) for i, name in enumerate(frame.columns)]
+
+
+def _mat(path: Path) -> list[_Column]:
+    if h5py.is_hdf5(path):
+        with h5py.File(path, "r") as file:
+            tree = _from_hdf5(file)
+    else:
+        tree = scipy.io.loadmat(path, simplify_cells=True)
+        tree = {k: v for k, v in tree.items() if not k.startswith("__")}
+    inner = tree.pop("log", {})
+    tree |= inner if isinstance(inner, dict) else {"log": inner}
+    given = tree.pop("units", {})
+    said = {k: v for k, v in given.items() if isinstance(v, str)}
+    for name in list(tree):
+        if f"{name}_unit" in tree:
+            said[name] = str(tree.pop(f"{name}_unit"))
+    return [_Column(k, k, said.get(k, "").strip() or None, v) for k, v in tree.items()]
+
+
+def _from_hdf5(group: h5py.Group) -> dict[str, Any]:
+    """A v7.3 file or struct as a dict; its text is uint16 arrays."""
+    tree = {}
+    for name, item in group.items():
+        if name.startswith("#"):  # MATLAB's store of cells
+            continue
+        if isinstance(item, h5py.Group):
+            tree[name] = _from_hdf5(item)
+        elif isinstance(item, h5py.Dataset):
+            value: Any = item[()]
+            if item.attrs.get("MATLAB_class") == b"char":
+                value = "".join(map(chr, np.ravel(value, order="F")))
+            tree[name] = value.decode() if isinstance(value, bytes) else value
+    return tree
+
+
+def _assign(
+    file: _File, channels: Mapping[str, Channel]
+) -> tuple[dict[str, tuple[_Column, str | None, float]], list[str]]:
+    """Each signal's column, unit and sign; remarks."""
+    found, notes = {}, []
+    for name in SIGNALS:
+        channel = channels.get(name)
+        wanted = name if channel is None else channel.column.strip()
+        matches = [c for c in file.columns if wanted in (c.name, c.label)]
+        if len(matches) > 1:
+            raise InputError(
+                f"{file.path}: {len(matches)} columns are called {wanted!r}; rename "
+                "all but one"
+            )
+        if not matches:
+            if channel is not None or name == "time":
+                raise InputError(_missing(file, name, wanted))
+            continue
+        column = matches[0]
+        unit = (channel.unit if channel else None) or column.unit
+        if channel and channel.unit and column.unit not in (None, channel.unit):
+            notes.append(
+                f"column {column.label!r} is read in {unit}, as the rig file says"
+            )
+        found[name] = (column, unit, -1.0 if channel and channel.invert else 1.0)
+    return found, notes
+
+
+def _missing(file: _File, name: str, wanted: str) -> str:
+    labels = [c.label for c in file.columns]
+    near = get_close_matches(wanted, [c.name for c in file.columns], n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"it has {labels[:12]}"
+    if len(labels) == 1 and file.header:
+        hint = "its header is one cell, so separate the columns with commas"
+    mend = "name it 'time [s]', or its column" if name == "time" else "mend the column"
+    return (
+        f"{file.path}: no column {wanted!r} for {name}; {hint}; {mend} in the rig "
+        f"file's [channels] {name}"
+    )
+
+
+def _si(
+    file: _File, name: str, column: _Column, unit: str | None
+) -> tuple[np.ndarray, str]:
+    """A signal in SI, [n], NaN where it has no finite number, and its unit."""
+    where = f"{file.path}: column {column.label!r}"
+    want = SIGNALS[name]
+    if name == "u":
+        want = "V" if unit is not None and units.fits(unit, "V") else "1"
+    if unit is None:
+        such = "V" if name == "u" else want
+        mend = f"call it '{name} [{such}]'"
+        if file.path.suffix.lower() == ".mat":
+            mend = f"add a variable {name}_unit = '{such}'"
+        raise InputError(
+            f"{where} has no unit; {mend}, or set one in the rig file's [channels] "
+            f"{name}"
+        )
+    if name == "u" and not units.fits(unit, want):
+        raise InputError(f"{where}: unit {unit!r} is neither V nor 1; give u in either")
+    values = _numbers(file, where, column.values)
+    return units.to_si(values, unit, want, where), want
+
+
+def _numbers(file: _File, where: str, values: Any) -> np.ndarray:
+    """A column's cells as floats, [n], NaN where empty or infinite."""
+    shape = np.shape(values)
+    if not shape or np.size(values) != max(shape):
+        raise InputError(f"{where} is not a vector; store it as one")
+    cells = values if isinstance(values, pd.Series) else pd.Series(np.ravel(values))
+    if cells.dtype.kind not in "biuf":  # text, or objects
+        numbers = pd.Series(pd.to_numeric(cells.astype(object), errors="coerce"))
+        wrong = np.flatnonzero(cells.notna() & numbers.isna())
+        if len(wrong) or cells.dtype.kind in "mMc":
+            row = int(wrong[0]) if len(wrong) else 0
+            raise InputError(
+                f"{where}, {file.row(row)}: {str(cells.iloc[row])[:40]!r} is not a "
+                "number; write one, or leave the cell empty"
+            )
+        cells = numbers
+    result = cells.to_numpy(dtype=float, na_value=np.nan)
+    return np.where(np.isfinite(result), result, np.nan)
+
+
+def _check_time(file: _File, label: str, time: np.ndarray) -> bool:
+    """Refuse time that is missing, falls or repeats; whether rows are to be merged.
+
+    A clock is coarse if it can be seen to round: the stamps keep to ticks about as
+    wide as a step, and the steps jitter by whole ticks. Then a stamp may repeat.
+    """
+    where = f"{file.path}: column {label!r}"
+    lost = np.flatnonzero(np.isnan(time))
+    if len(lost):
+        raise InputError(
+            f"{where}, {file.row(int(lost[0]))}: time is missing; fill it in or delete "
+            "the row"
+        )
+    steps = np.diff(time)
+    falls = np.flatnonzero(steps < 0.0)
+    if len(falls):
+        raise InputError(
+            f"{where}, {file.row(int(falls[0]) + 1)}: time falls; sort the rows, or "
+            "make one file of each run"
+        )
+    repeats = np.flatnonzero(steps == 0.0)
+    if not len(repeats):
+        return False
+    rising = steps[steps > 0.0]
+    if len(rising):
+        tick, median = rising.min(), np.median(rising)
+        jitter = np.mean(np.abs(rising - median) > 0.1 * tick)
+        on_ticks = np.abs(rising / tick - np.round(rising / tick)) < 0.1
+        if jitter > 0.01 and median < 3.5 * tick and np.mean(on_ticks) > 0.99:
+            return True
+    raise InputError(
+        f"{where}, {file.row(int(repeats[0]) + 1)}: time repeats; delete the row, or "
+        "export time with more digits"
+    )
+
+
+def _check_values(file: _File, name: str, label: str, values: np.ndarray) -> list[str]:
+    """Refuse a column without numbers or movement; a remark if it may rest."""
+    known = values[~np.isnan(values)]
+    if not len(known):
+        raise InputError(
+            f"{file.path}: column {label!r} holds no number; take it out of the log"
+        )
+    if name == "time" or known.min() < known.max():
+        return []
+    if name in _MAY_REST:
+        return [f"column {label!r} is constant"]
+    raise InputError(
+        f"{file.path}: column {label!r} does not move; check its sensor, log a run in "
+        "which it does, or take the column out"
+    )
+
+
+def _merge(arrays: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:
+    """Average the rows of equal time; the rows saved."""
+    time, first, counts = np.unique(
+        arrays["time"], return_index=True, return_counts=True
+    )
+    merged = {name: np.add.reduceat(a, first) / counts for name, a in arrays.items()}
+    return merged | {"time": time}, len(arrays["time"]) - len(time)
+
+
+def _segments(
+    time: np.ndarray, signals: Mapping[str, np.ndarray], shortest: float
+) -> tuple[tuple[tuple[int, int], ...], list[str]]:
+    """Row ranges without gap or NaN that last `shortest` s; what was cut, in words."""
+    notes = []
+    whole = np.ones(len(time), dtype=bool)
+    for name, values in signals.items():
+        holes = np.isnan(values)
+        if name != "F_d" and holes.any():
+            notes.append(f"rows left out, as {name} is missing: {holes.sum()}")
+            whole &= ~holes
+    steps = np.diff(time)
+    gap = steps > _GAP * np.median(steps)
+    if gap.any():
+        notes.append(f"gaps in time: {gap.sum()}, the longest {steps.max():.3g} s")
+    joined = whole[1:] & whole[:-1] & ~gap
+    starts = np.flatnonzero(whole & ~np.concatenate([[False], joined]))
+    stops = np.flatnonzero(whole & ~np.concatenate([joined, [False]])) + 1
+    kept, short = [], 0
+    for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
+        if time[stop - 1] - time[start] >= shortest * (1.0 - 1e-9):
+            kept.append((start, stop))
+        else:
+            short += stop - start
+    if short:
+        notes.append(f"rows left out, in stretches under {shortest:g} s: {short}")
+    return tuple(kept), notes

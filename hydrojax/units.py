@@ -1,0 +1,129 @@
+"""Quantities with units in, SI numbers out."""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import cache
+from typing import TYPE_CHECKING, overload
+
+import numpy as np
+
+from hydrojax.errors import InputError
+
+if TYPE_CHECKING:
+    import pint
+
+_QUANTITY = re.compile(
+    r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*\*?\s*(.*?)\s*", re.DOTALL
+)
+
+
+class _UnitError(ValueError):
+    """What is wrong with a unit, in words; the public functions say where."""
+
+
+@cache
+def _registry() -> pint.UnitRegistry:
+    import pint  # slow to import, and not every command reads a file
+
+    return pint.UnitRegistry()
+
+
+@cache
+def _factor(unit: str, want: str) -> float:
+    """How many `want` one `unit` is; `_UnitError` if it is none."""
+    registry = _registry()
+    text = "1" if unit.strip() == "-" else unit.strip().replace("·", "*")
+    if text.startswith("/"):
+        text = f"1{text}"
+    mend = "give it as a plain number" if want == "1" else f"give it in {want} or so"
+    try:
+        parsed = registry.parse_units(text)
+    except Exception as err:  # pint raises a dozen kinds on text that is no unit
+        raise _UnitError(f"unknown unit {unit!r}; {mend}") from err
+    if "rad" in want and "hertz" in str(parsed):
+        raise _UnitError(
+            f"{unit!r} counts cycles, not radians; multiply by 2*pi and write {want}"
+        )
+    try:
+        zero = registry.Quantity(0.0, parsed).to(want).magnitude
+        one = registry.Quantity(1.0, parsed).to(want).magnitude
+    except Exception as err:
+        raise _UnitError(f"unit {unit!r} does not fit; {mend}") from err
+    if zero != 0.0:  # decibel, degC: no factor makes them SI
+        raise _UnitError(f"unit {unit!r} has no true zero; {mend}")
+    return float(one)
+
+
+def fits(unit: str, want: str) -> bool:
+    """Whether `unit` is a unit of the dimension of `want`."""
+    try:
+        _factor(unit, want)
+    except _UnitError:
+        return False
+    return True
+
+
+def with_command(unit: str, command: str) -> str:
+    """`unit` with `{u}` replaced by the command's unit, "V" or "1"."""
+    if command == "1":
+        for part in ("{u}*", "*{u}", "/{u}"):
+            unit = unit.replace(part, "")
+    return unit.replace("{u}", command)
+
+
+@overload
+def to_si(value: float, unit: str, want: str, where: str) -> float: ...
+@overload
+def to_si(value: np.ndarray, unit: str, want: str, where: str) -> np.ndarray: ...
+def to_si(
+    value: float | np.ndarray, unit: str, want: str, where: str
+) -> float | np.ndarray:
+    """Convert `value`, a number or an array [...], from `unit` to the SI unit `want`.
+
+    Radians count as dimensionless, so rad/s and 1/s fit each other; Hz is refused
+    where rad/s is wanted. "-" and "%" are dimensionless.
+
+    Raises:
+        InputError: `unit` is unknown or of another dimension; `where` opens the line.
+    """
+    try:
+        return value * _factor(unit, want)
+    except _UnitError as err:
+        raise InputError(f"{where}: {err}") from err
+
+
+def split(text: object, where: str) -> tuple[float, str]:
+    """The number of a quantity and its unit as written, "" if it has none.
+
+    Raises:
+        InputError: `text` is neither a finite number nor a string that opens with one.
+    """
+    if isinstance(text, (int, float)) and not isinstance(text, bool):
+        text = str(text)
+    match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
+    if match is None or not math.isfinite(float(match[1])):
+        raise InputError(
+            f"{where}: {text!r} is not a quantity; write a finite number and its unit, "
+            'such as "8e8 Pa"'
+        )
+    return float(match[1]), match[2]
+
+
+def quantity(text: object, want: str, where: str) -> float:
+    """The SI value of a quantity such as "60 um" or, if dimensionless, "0.7".
+
+    Args:
+        text: the quantity, as a string; a bare number will do if dimensionless.
+        want: the SI unit the value is returned in.
+        where: file and key, to open an error line with.
+
+    Raises:
+        InputError: not a finite number with a unit; no unit where one is needed; an
+            unknown unit; another dimension.
+    """
+    value, unit = split(text, where)
+    if not unit and ("rad" in want or not fits("1", want)):
+        raise InputError(f'{where}: {text!r} has no unit; write "{value:g} {want}"')
+    return to_si(value, unit or "1", want, where)

@@ -1,0 +1,313 @@
+"""Fit a rig's free parameters to logs, and say how far they can be believed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..params import Spec
+from ..rig import Rig, parameter_specs, put
+from ..rigfile import RigSpec
+from .misfit import Basis, Batch, Model, Sums, basis, slot_names, sums
+from .prepare import Data
+from .solve import Fit, minimise
+
+SPARE = (4, 6)
+"""Columns kept free for effects that a trace adds: hydraulic, other."""
+
+
+PRESSURES = np.array([True, True, False])
+"""Which channels are pressures."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that is to be found: where it starts and what it may be, SI."""
+
+    start: float
+    lower: float
+    upper: float
+    prior: float | None = None
+
+
+def free_parameters(spec: RigSpec) -> dict[str, Free]:
+    """What a rig file leaves to be found, effects it declares included."""
+    entries = dict(spec.parameters)
+    for effect, given in spec.effects.items():
+        entries |= {f"{effect}.{name}": e for name, e in given.items()}
+    return {
+        name: Free(e.start, *e.range) for name, e in entries.items() if e.range
+    }
+
+
+def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
+    """The parameters of an effect that a trace adds, from its declaration."""
+    return {
+        f"{name}.{field}": Free(s.default, s.lower, s.upper, s.prior)
+        for field, s in spec.items()
+    }
+
+
+def batch_of(data: Data) -> Batch:
+    """A fit's arrays from prepared logs."""
+    ones = np.ones(data.P_0.shape[0])
+    made = Batch(data.motion, data.windows, data.P_0, data.noise, ones)
+    return jax.tree.map(jnp.asarray, made)
+
+
+def _gram(
+    model: Model,
+    values: Array,
+    directions: Basis,
+    prior: Array,
+    offset: Array,
+    batch: Batch,
+    simulate: bool,
+    d: Array,
+) -> tuple[Array, Sums]:
+    """Gram matrix at `values` moved by `d` along the directions, with priors; and the
+    sums there, without the matrices of the single windows."""
+    k_1 = directions.hydraulic.shape[1]
+    move = jnp.concatenate(
+        [directions.hydraulic @ d[:k_1], directions.other @ d[k_1:]]
+    )
+    at = sums(model, values + move, directions, batch, simulate)
+    total = jnp.sum(at.gram, 0)
+    rows = jnp.concatenate(
+        [jnp.diag(prior), (prior * (d + offset))[:, None]], axis=1
+    )  # a prior is one more residual row per column
+    return total + rows.T @ rows, at._replace(gram=at.gram[:, :0])
+
+
+@eqx.filter_jit
+def _run(model, values, directions, prior, offset, lower, upper, batch, simulate):
+    gram = partial(_gram, model, values, directions, prior, offset, batch, simulate)
+    return minimise(gram, jnp.zeros_like(lower), lower, upper)
+
+
+@eqx.filter_jit
+def _sums(model, values, directions, batch, simulate):
+    return sums(model, values, directions, batch, simulate)
+
+
+@eqx.filter_jit
+def _run_starts(model, values, starts, directions, prior, offset, lower, upper, batch):
+    def one(start):
+        gram = partial(_gram, model, values, directions, prior, offset, batch, True)
+        return minimise(gram, start, lower, upper)
+
+    return jax.vmap(one)(starts)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a fit is given: the model, what is free, the data, the columns' slots."""
+
+    model: Model
+    free: Mapping[str, Free]
+    batch: Batch
+    slots: tuple[int, int]
+    simulate: bool
+
+    @classmethod
+    def of(cls, rig: Rig, free: Mapping[str, Free], data: Data, spare=SPARE) -> Problem:
+        """The problem of fitting `free` on prepared logs."""
+        model = Model.of(rig)
+        first = sum(model.names.index(n) < model.hydraulic for n in free)
+        slots = (first + spare[0], len(free) - first + spare[1])
+        return cls(model, free, batch_of(data), slots, data.driven_by == "u")
+
+    def solve(
+        self,
+        values: np.ndarray,
+        free: Sequence[str] | None = None,
+        noise: np.ndarray | None = None,
+        simulate: bool | None = None,
+    ) -> tuple[np.ndarray, Fit]:
+        """Move `free` from `values` to the best fit; returns all values, and how.
+
+        `noise` and `simulate` stand in for the problem's own where a part of the
+        model is fitted by itself.
+        """
+        free = tuple(self.free if free is None else free)
+        columns = slot_names(self.model, free, self.slots)
+        index = np.array([self.model.names.index(n) if n else 0 for n in columns])
+        scale = self.model.scale[index]
+        at = values[index]
+        spare = Free(0.0, 0.0, 0.0)
+        given = [self.free[n] if n else spare for n in columns]
+        lower = np.array([f.lower for f in given])
+        upper = np.array([f.upper for f in given])
+        prior = np.array([scale[i] / f.prior if f.prior else 0.0
+                          for i, f in enumerate(given)])
+        start = np.array([f.start for f in given])
+        used = np.array([n is not None for n in columns])
+
+        def boxed(bound):
+            return jnp.asarray(np.where(used, (bound - at) / scale, 0.0))
+
+        batch = self.batch
+        if noise is not None:
+            batch = batch._replace(noise=jnp.asarray(noise))
+        out = _run(
+            self.model,
+            jnp.asarray(values),
+            jax.tree.map(jnp.asarray, basis(self.model, free, self.slots)),
+            jnp.asarray(prior),
+            jnp.asarray(np.where(used, (at - start) / scale, 0.0)),
+            boxed(lower),
+            boxed(upper),
+            batch,
+            self.simulate if simulate is None else simulate,
+        )
+        moved = values.copy()
+        step = np.asarray(out.at) * scale
+        for i, name in enumerate(columns):
+            if name:
+                # Clipped again in SI: the box's corner may be off by rounding.
+                moved[index[i]] = np.clip(at[i] + step[i], lower[i], upper[i])
+        return moved, out
+
+    def sums_at(self, values: np.ndarray, noise: np.ndarray | None = None) -> Sums:
+        """The windows' sums at `values`, along every parameter of the model."""
+        batch = self.batch
+        if noise is not None:
+            batch = batch._replace(noise=jnp.asarray(noise))
+        n = self.model.hydraulic
+        every = basis(self.model, self.model.names, (n, len(self.model.names) - n))
+        return self._evaluate(values, every, batch)
+
+    def errors_at(self, values: np.ndarray) -> np.ndarray:
+        """Squared residuals by window and channel, [W, 3], SI, nothing else."""
+        none = basis(self.model, (), (0, 0))
+        return np.asarray(self._evaluate(values, none, self.batch).sse)
+
+    def _evaluate(self, values, directions, batch) -> Sums:
+        directions = jax.tree.map(jnp.asarray, directions)
+        values = jnp.asarray(values)
+        return _sums(self.model, values, directions, batch, self.simulate)
+
+    def restarted(self, at: Sums) -> Problem:
+        """The problem with each window's initial pressures moved to their estimate."""
+        batch = self.batch
+        return replace(
+            self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :, -1])
+        )
+
+    def initial_values(self) -> np.ndarray:
+        """The rig's values, with every free parameter at its start."""
+        values = np.array(self.model.values)
+        for name, f in self.free.items():
+            values[self.model.names.index(name)] = f.start
+        return values
+
+    @property
+    def sees_pressures(self) -> bool:
+        """Whether the pressures are simulated, and compared with the log's."""
+        noise = np.asarray(self.batch.noise)
+        return self.simulate and bool(np.any(np.isfinite(noise) & PRESSURES))
+
+    def side(self, names: Sequence[str], hydraulic: bool) -> tuple[str, ...]:
+        """Those of the names on which the pressures depend, or the others."""
+        n = self.model.hydraulic
+        return tuple(
+            x for x in names if (self.model.names.index(x) < n) == hydraulic
+        )
+
+    def rms(self, sse: Array | np.ndarray) -> np.ndarray:
+        """Root mean square by channel, [3], SI, of squared residuals [W, 3]."""
+        ticks = self.batch.windows.measured.shape[1]
+        return np.sqrt(np.sum(np.asarray(sse), axis=0) / (np.sum(self.batch.weight) * ticks))
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a fit stands: all values, and the channels' weights it was made with."""
+
+    values: np.ndarray
+    weights: np.ndarray
+    steps: int
+    converged: bool
+
+
+def only(noise: np.ndarray, channels: np.ndarray) -> np.ndarray:
+    """The noise, with the other channels not compared."""
+    return np.where(channels, noise, np.inf)
+
+
+def bent(noise: np.ndarray, rms: np.ndarray) -> np.ndarray:
+    """The noise, or the misfit of a channel that the model cannot follow.
+
+    Given the weight of its noise such a channel would bend the parameters of the
+    others: force stands downstream of pressure, and an unknown force would be paid
+    for with a wrong bulk modulus.
+    """
+    return np.where(rms > 1.25 * noise, np.maximum(noise, rms), noise)
+
+
+def fit(
+    problem: Problem, values: np.ndarray, free: Sequence[str]
+) -> tuple[Problem, Point]:
+    """Fit the free parameters to all channels, in the order of the signal path.
+
+    Hydraulics on the pressures alone, then the mechanics, then all together with each
+    channel at the weight it has earned. Returns the problem with its windows'
+    initial pressures brought up to date, and the fit.
+    """
+    if problem.sees_pressures and problem.side(free, True):
+        problem, values = fit_pressures(problem, values, free)
+    return fit_force(problem, values, free)
+
+
+def fit_force(
+    problem: Problem, values: np.ndarray, free: Sequence[str]
+) -> tuple[Problem, Point]:
+    """The second half of `fit`, from hydraulics that fit the pressures already."""
+    noise = np.asarray(problem.batch.noise)
+    weights = noise
+    mechanical = problem.side(free, False)
+    if problem.sees_pressures and mechanical and np.isfinite(noise[2]):
+        # Pressures that are off would be paid for by friction: weigh, then fit.
+        _, out = problem.solve(values, (), noise)
+        weights = bent(noise, problem.rms(out.also.sse))
+        values, out = problem.solve(values, mechanical, weights)
+        problem = problem.restarted(out.also)
+        weights = bent(noise, problem.rms(out.also.sse))
+    return fit_jointly(problem, values, free, weights)
+
+
+def fit_jointly(
+    problem: Problem, values: np.ndarray, free: Sequence[str], weights: np.ndarray
+) -> tuple[Problem, Point]:
+    """Fit everything free at once from nearby, each channel at its weight."""
+    noise = np.asarray(problem.batch.noise)
+    seen = np.isfinite(noise)
+    for _ in range(3):
+        values, out = problem.solve(values, free, weights)
+        problem = problem.restarted(out.also)
+        previous, weights = weights, bent(noise, problem.rms(out.also.sse))
+        if np.allclose(previous[seen], weights[seen], rtol=0.1):
+            break
+    return problem, Point(values, previous, int(out.steps), bool(out.converged))
+
+
+def fit_pressures(
+    problem: Problem, values: np.ndarray, free: Sequence[str]
+) -> tuple[Problem, np.ndarray]:
+    """Fit the free parameters that the pressures see, on the pressures alone."""
+    noise = only(np.asarray(problem.batch.noise), PRESSURES)
+    sensors = (n for n in problem.side(free, False) if n.startswith("pressure_sensor"))
+    names = (*problem.side(free, True), *sensors)
+    for _ in range(3):
+        values, out = problem.solve(values, names, noise)
+        problem = problem.restarted(out.also)
+        if np.median(np.abs(out.also.start[:, :, -1])) < 0.5 * np.min(noise):
+            break
+    return problem, values

@@ -1,0 +1,223 @@
+"""The misfit: windows' residuals and sensitivities, summed to small Gram matrices.
+
+Everything that is asked later (a Gauss-Newton step, a covariance, a score, what two
+effects have in common) needs only sums of products of the columns. So each window is
+reduced to the Gram matrix of [sensitivities, residual], with the window's two initial
+pressures eliminated, and the large Jacobian is never stored beyond that.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..replay import Motion, Windows, friction_memory, pressures, readings
+from ..rig import Rig, get, hydraulic_names, parameter_specs, put, scales
+
+MEMORY = ("z_ss", "L_rate")
+"""The parameters on which bristle and filtered speed depend."""
+
+START_SPREAD = 3e5
+"""Prior on a window's initial pressure about its first guess, Pa: wide, it only keeps
+a chamber that no channel sees in place."""
+
+
+class Model(NamedTuple):
+    """A rig and the order of its parameters: hydraulic ones first.
+
+    `scale` and `value0` are what a coordinate of the optimiser means: value =
+    scale * coordinate.
+    """
+
+    rig: Rig
+    names: tuple[str, ...]
+    hydraulic: int
+    scale: np.ndarray
+
+    @classmethod
+    def of(cls, rig: Rig) -> Model:
+        """The model of a rig, with every parameter it has."""
+        spec = parameter_specs(rig)
+        first = hydraulic_names(rig)
+        names = tuple(sorted(spec, key=lambda n: n not in first))
+        return cls(rig, names, len(first), scales(spec[n] for n in names))
+
+    @property
+    def values(self) -> Array:
+        """The rig's own values, [n], SI."""
+        return get(self.rig, self.names)
+
+
+class Batch(NamedTuple):
+    """What a fit runs on, as arrays; `noise` [3], `weight` [W] (0 for padding)."""
+
+    motion: Motion
+    windows: Windows
+    P_0: Array
+    noise: Array
+    weight: Array
+
+
+class Sums(NamedTuple):
+    """Per window: `gram` [W, k+1, k+1] of [sensitivities, residual], whitened, the
+    initial pressures eliminated; `start` [W, 2, k+1] their solution; `sse` [W, 3]
+    squared residuals by channel, SI."""
+
+    gram: Array
+    start: Array
+    sse: Array
+
+
+class Basis(NamedTuple):
+    """Directions in parameter space: [n_hydraulic, k_1] and [n_other, k_2], SI."""
+
+    hydraulic: Array
+    other: Array
+
+
+def basis(model: Model, names: tuple[str, ...], slots: tuple[int, int]) -> Basis:
+    """One direction per named parameter, one unit of its scale; spare slots are 0.
+
+    Raises:
+        ValueError: more names than slots.
+    """
+    out = [
+        np.zeros((model.hydraulic, slots[0])),
+        np.zeros((len(model.names) - model.hydraulic, slots[1])),
+    ]
+    used = [0, 0]
+    for name in names:
+        i = model.names.index(name)
+        side = int(i >= model.hydraulic)
+        if used[side] == slots[side]:
+            raise ValueError(f"no slot left for {name}")
+        out[side][i - side * model.hydraulic, used[side]] = model.scale[i]
+        used[side] += 1
+    return Basis(*out)
+
+
+def slot_names(
+    model: Model, names: tuple[str, ...], slots: tuple[int, int]
+) -> list[str | None]:
+    """Which parameter stands in each column of `basis`, None for a spare one."""
+    first = [n for n in names if model.names.index(n) < model.hydraulic]
+    rest = [n for n in names if n not in first]
+    spare = [[None] * (slots[0] - len(first)), [None] * (slots[1] - len(rest))]
+    return [*first, *spare[0], *rest, *spare[1]]
+
+
+def predict(rig: Rig, batch: Batch, simulate: bool) -> Array:
+    """What the sensors would read, [W, T, 3], from the batch's initial pressures."""
+    w = batch.windows
+    P = pressures(rig, w, batch.P_0) if simulate else (w.P_a1, w.P_a2)
+    return readings(rig, w, *P, *friction_memory(rig, batch.motion))
+
+
+def sensitivities(
+    model: Model, values: Array, directions: Basis, batch: Batch, simulate: bool
+) -> tuple[Array, Array]:
+    """Predictions [W, T, 3] and their derivatives [k+2, W, T, 3].
+
+    The columns are those of `directions`, then the two initial pressures (per Pa).
+    Forward mode, in the three stages of the replay, so that friction's columns never
+    pay for the integration of the pressures.
+    """
+    rig, names, n = model.rig, model.names, model.hydraulic
+    w = batch.windows
+    k_1, k_2 = directions.hydraulic.shape[1], directions.other.shape[1]
+
+    def run(d, P_shift):
+        at = put(rig, names[:n], values[:n] + directions.hydraulic @ d)
+        return pressures(at, w, batch.P_0 + P_shift)
+
+    def memory(of):
+        return friction_memory(put(rig, MEMORY, of), batch.motion)
+
+    here = put(rig, names, values)
+    remembered = get(here, MEMORY)
+    state = memory(remembered)
+    d_state = [
+        jax.jvp(memory, (remembered,), (row,))[1] for row in jnp.eye(len(MEMORY))
+    ]
+    if simulate:
+        eye = jnp.eye(k_1 + 2)
+        P, d_P = jax.vmap(
+            lambda e: jax.jvp(
+                run, (jnp.zeros(k_1), jnp.zeros(2)), (e[:k_1], e[k_1:])
+            ),
+            out_axes=(None, 0),
+        )(eye)
+        zeros = jnp.zeros((k_2, *P[0].shape))
+        d_P = [jnp.concatenate([d[:k_1], zeros, d[k_1:]]) for d in d_P]
+    else:
+        P = (w.P_a1, w.P_a2)
+        d_P = [jnp.zeros((k_1 + k_2 + 2, *P[0].shape))] * 2
+
+    def force(d, P_a1, P_a2, z, speed):
+        at = put(here, names[n:], values[n:] + directions.other @ d)
+        return readings(at, w, P_a1, P_a2, z, speed)
+
+    columns = jnp.concatenate(
+        [jnp.zeros((k_1, k_2)), jnp.eye(k_2), jnp.zeros((2, k_2))]
+    )
+    rows = jnp.stack(
+        [directions.other[names.index(m) - n] for m in MEMORY]
+    )  # [memory, k_2]
+
+    def column(e, dp_1, dp_2):
+        share = rows @ e
+        dz, dw = (
+            sum(s * d[i] for s, d in zip(share, d_state, strict=True)) for i in (0, 1)
+        )
+        return jax.jvp(
+            force, (jnp.zeros(k_2), *P, *state), (e, dp_1, dp_2, dz, dw)
+        )
+
+    return jax.vmap(column, out_axes=(None, 0))(columns, *d_P)
+
+
+def sums(
+    model: Model, values: Array, directions: Basis, batch: Batch, simulate: bool
+) -> Sums:
+    """The windows' Gram matrices at `values` along `directions`; see `Sums`."""
+    y, dy = sensitivities(model, values, directions, batch, simulate)
+    seen = jnp.isfinite(batch.noise)
+    white = jnp.where(seen, 1 / jnp.where(seen, batch.noise, 1.0), 0.0)
+    residual = jnp.where(seen, batch.windows.measured - y, 0.0)
+    k = dy.shape[0] - 2
+    stack = jnp.concatenate([-dy, residual[None]]) * white  # [k+3, W, T, 3]
+    stack = jnp.moveaxis(stack, 1, 0).reshape(residual.shape[0], k + 3, -1)
+    full = jnp.einsum("wit,wjt->wij", stack, stack)
+    keep = np.r_[0:k, k + 2]
+    B = full[:, k : k + 2, k : k + 2] + jnp.eye(2) / START_SPREAD**2
+    cross = full[:, k : k + 2, keep]
+    start = jnp.linalg.solve(B, cross)
+    gram = full[:, keep[:, None], keep] - jnp.einsum("wia,wib->wab", cross, start)
+    weight = batch.weight
+    return Sums(
+        gram * weight[:, None, None],
+        start,
+        _errors(residual, dy[k:], white, start[:, :, -1]) * weight[:, None],
+    )
+
+
+def _errors(residual: Array, dy: Array, white: Array, start: Array) -> Array:
+    """Squared residuals by window and channel, [W, 3].
+
+    The force is judged with the initial pressures that all channels together give;
+    the pressures with those that they give themselves, so that a force which the
+    model cannot follow is not held against them.
+    """
+    own = white * jnp.array([1.0, 1.0, 0.0])
+    B = jnp.einsum("iwtc,jwtc->wij", dy * own, dy * own) + jnp.eye(2) / START_SPREAD**2
+    by_itself = jnp.linalg.solve(B, -jnp.einsum("iwtc,wtc->wi", dy * own, residual * own)[..., None])
+    own_left = residual + jnp.einsum("iwtc,wi->wtc", dy, by_itself[..., 0])
+    left = residual + jnp.einsum("iwtc,wi->wtc", dy, start)
+    return jnp.concatenate(
+        [jnp.sum(own_left[..., :2] ** 2, 1), jnp.sum(left[..., 2:] ** 2, 1)], axis=-1
+    )

@@ -1,0 +1,368 @@
+"""From logs to what the replay runs on: motion, windows, first guesses, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import interpolate, signal
+
+from ..errors import InputError
+from ..replay import Motion, Windows
+from ..rigfile import RigSpec
+from ..signals import Log
+
+CHANNELS = ("P_a1", "P_a2", "F")
+"""What a replay can predict, in the order of `Windows.measured`."""
+
+PRE = 60
+"""Ticks of command ahead of a window, for whatever on its path has memory."""
+LEAD = 20
+"""Ticks at the head of a window that are run but not compared."""
+SETTLE = 0.5
+"""Seconds at the head of a segment that no window takes: the bristle's start is
+unknown."""
+QUARTERS = 4
+"""Steps of the bristle per tick."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """Logs made ready.
+
+    Attributes:
+        motion: see `Motion`; S segments.
+        windows: see `Windows`; W windows.
+        P_0: [W, 2] first guess of the pressures at each window's first tick, Pa.
+        log: [W] which log each window comes from.
+        noise: [3] standard deviation of each channel's noise, SI; inf if not compared.
+        driven_by: `u`, or what else drives the replay.
+        travel: range of x that is compared, m.
+        notes: one-line remarks for the report.
+    """
+
+    motion: Motion
+    windows: Windows
+    P_0: np.ndarray
+    log: np.ndarray
+    noise: np.ndarray
+    driven_by: str
+    travel: tuple[float, float]
+    notes: tuple[str, ...]
+
+
+def estimate_noise(y: np.ndarray) -> float:
+    """Standard deviation of white noise on a smooth signal, in the unit of `y`.
+
+    Sixth differences remove what is smooth; the median of their size is robust to
+    jumps. Not below what rounding to the signal's own resolution makes.
+    """
+    weights = np.array([1, -6, 15, -20, 15, -6, 1.0])
+    d = np.convolve(y, weights, "valid") / np.sqrt(np.sum(weights**2))
+    steps = np.diff(np.unique(y))
+    resolution = np.min(steps[steps > 1e-12 * np.ptp(y)], initial=np.ptp(y))
+    return float(max(np.median(np.abs(d)) / 0.6745, resolution / np.sqrt(12)))
+
+
+def _position(log: Log, spec: RigSpec) -> np.ndarray:
+    if "x" in log.signals:
+        return log.signals["x"] - spec.geometry.get("x_mid", 0.0)
+    if "psi" in log.signals:
+        if "radius" not in spec.geometry:
+            raise InputError(
+                f"{log.name}: column psi needs the driving radius: write "
+                f'radius = "… m" under [geometry] in {spec.path}'
+            )
+        return log.signals["psi"] * spec.geometry["radius"]
+    raise InputError(f"{log.name}: no motion: give a column x [m] or psi [rad]")
+
+
+def motion_band(t: np.ndarray, x: np.ndarray) -> float | None:
+    """Frequency (Hz) above which position is noise, or None if that costs nothing.
+
+    The spectrum of a position falls steeply until it meets the flat floor of its
+    noise; acceleration beyond that point is noise times frequency squared.
+    """
+    h = float(np.median(np.diff(t)))
+    even = np.interp(np.arange(t[0], t[-1], h), t, x)
+    f, power = signal.welch(even, 1 / h, nperseg=min(2048, even.size), detrend="linear")
+    tail = f > 0.7 * f[-1]
+    floor = np.median(power[tail])
+    smooth = signal.medfilt(power, 5)
+    above = np.nonzero(smooth > 10 * floor)[0]
+    cut = f[above[-1]] if above.size else f[-1]
+    noise_x = np.sqrt(floor * f[-1])
+    speed = np.gradient(even, h)
+    # Speed noise of the raw signal against the speed that matters.
+    if noise_x / h < 0.02 * np.std(speed) or cut > 0.5 * f[-1]:
+        return None
+    return float(cut)
+
+
+def low_pass(t: np.ndarray, y: np.ndarray, cut: float) -> np.ndarray:
+    """Zero-phase low-pass at `cut` Hz on (nearly) even ticks."""
+    h = float(np.median(np.diff(t)))
+    sos = signal.butter(4, min(cut * 2 * h, 0.9), output="sos")
+    return signal.sosfiltfilt(sos, y)
+
+
+def _smooth(y: np.ndarray, width: int = 31) -> np.ndarray:
+    """A measured supply pressure without the noise that would drive the plant."""
+    if np.ptp(y) == 0 or y.size <= width:
+        return y
+    return signal.savgol_filter(y, width, 3)
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """One segment's signals at its ticks, all SI; see `Windows` for the names."""
+
+    log: int
+    t: np.ndarray
+    spline: interpolate.BSpline
+    u: np.ndarray
+    P_s: np.ndarray
+    P_r: np.ndarray
+    P: np.ndarray  # [n, 2] as logged
+    F: np.ndarray
+
+
+def prepare(
+    logs: Sequence[Log],
+    spec: RigSpec,
+    horizon: float = 0.25,
+    noise: np.ndarray | None = None,
+) -> Data:
+    """Make logs ready for a replay of the rig.
+
+    Args:
+        logs: as `read_log` gives them, all with the same signals.
+        spec: the rig they were recorded on.
+        horizon: length of a window, s.
+        noise: [3] to be used, or None to take the rig file's or estimate it.
+
+    Raises:
+        InputError: no motion, nothing to predict, logs that differ in their signals,
+            or no stretch long enough for a window.
+    """
+    driven_by = _driver(logs, spec)
+    notes = [f"{log.name}: {note}" for log in logs for note in log.notes]
+    segments = []
+    for i, log in enumerate(logs):
+        for start, stop in log.segments:
+            segment, said = _segment(i, log, spec, slice(start, stop), driven_by)
+            segments.append(segment)
+            notes += [f"{log.name}: {s}" for s in said if s not in notes]
+    h = float(np.median(np.concatenate([np.diff(s.t) for s in segments])))
+    T = max(int(round(horizon / h)), 8)
+    pre, lead = (PRE, LEAD) if driven_by == "u" else (1, min(LEAD, int(0.3 / h)))
+    n = max(1, int(np.ceil(h / 1.5e-3))) if driven_by == "u" else 1
+    cuts = [
+        (k, first)
+        for k, s in enumerate(segments)
+        for first in _starts(s, T, pre, lead)
+    ]
+    if not cuts:
+        raise InputError(
+            f"{logs[0].name}: no stretch without gaps is longer than "
+            f"{SETTLE + (pre + lead + T) * h:.2g} s: give a longer log or a shorter "
+            "--horizon"
+        )
+    windows, P_0 = _windows(segments, cuts, T, pre, lead, n)
+    travel = (float(windows.x.min()), float(windows.x.max()))
+    if noise is None:
+        noise = _noise(logs, spec, segments, driven_by)
+    return Data(
+        motion=_motion(segments, h),
+        windows=windows,
+        P_0=P_0,
+        log=np.array([segments[k].log for k, _ in cuts]),
+        noise=noise,
+        driven_by=driven_by,
+        travel=travel,
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _driver(logs: Sequence[Log], spec: RigSpec) -> str:
+    """What drives the replay: `u`, the pressures, or `P`."""
+    has = set(logs[0].signals)
+    for log in logs[1:]:
+        if set(log.signals) - {"F_d"} != has - {"F_d"}:
+            odd = sorted((set(log.signals) ^ has) - {"F_d"})
+            raise InputError(
+                f"{log.name}: columns differ from {logs[0].name} ({', '.join(odd)}): "
+                "logs that are fitted together need the same signals"
+            )
+    pressures = {"P_a2"} if spec.layout == "single" else {"P_a1", "P_a2"}
+    force = "F" in has or "F" in spec.load
+    name = logs[0].name
+    if spec.layout == "driven-axis":
+        if "P" not in has:
+            raise InputError(f"{name}: a driven-axis needs the drive force: P [N]")
+        driver = "P"
+    elif "u" in has:
+        if not (pressures & has) and not force:
+            raise InputError(
+                f"{name}: nothing to predict: give P_a1 [Pa], P_a2 [Pa] or F [N]"
+            )
+        return "u"
+    elif pressures <= has:
+        driver = "pressures"
+    elif "P" in has:
+        driver = "P"
+    else:
+        raise InputError(
+            f"{name}: nothing drives the replay: give u [V], or "
+            f"{' and '.join(f'{p} [Pa]' for p in sorted(pressures))}"
+        )
+    if not force:
+        raise InputError(
+            f"{name}: nothing to predict: without u the pressures drive, and F is "
+            'missing: give F [N], or F = "0 N" under [load] for a free axis'
+        )
+    return driver
+
+
+def _segment(
+    i: int, log: Log, spec: RigSpec, rows: slice, driven_by: str
+) -> tuple[_Segment, list[str]]:
+    said = []
+    t, x = log.time[rows], _position(log, spec)[rows]
+    n = t.size
+    get = {k: v[rows] for k, v in log.signals.items()}
+    zero = np.zeros(n)
+    F = get.get("F", zero + spec.load.get("F", np.nan))
+    P = np.stack([get.get("P_a1", zero), get.get("P_a2", zero)], axis=1)
+    if driven_by == "P":
+        P = np.stack([zero, get["P"]], axis=1)
+    cut = motion_band(t, x)
+    if cut is not None:
+        said.append(
+            f"above {cut:.0f} Hz the position is noise: motion"
+            + (", drive and force are" if driven_by != "u" else " is")
+            + " compared below that"
+        )
+        x = low_pass(t, x, cut)
+        if driven_by != "u":
+            P = np.stack([low_pass(t, p, cut) for p in P.T], axis=1)
+            F = low_pass(t, F, cut) if np.ptp(F) > 0 else F
+    segment = _Segment(
+        log=i,
+        t=t,
+        spline=interpolate.make_interp_spline(t, x, k=5),
+        u=get.get("u", zero),
+        P_s=_smooth(get["P_s"]) if "P_s" in get else zero + spec.supply["P_s"],
+        P_r=_smooth(get["P_r"]) if "P_r" in get else zero + spec.supply["P_r"],
+        P=P,
+        F=F,
+    )
+    return segment, said
+
+
+def _starts(s: _Segment, T: int, pre: int, lead: int) -> range:
+    """First ticks (of the lead) of the windows that tile a segment."""
+    settled = int(np.searchsorted(s.t, s.t[0] + SETTLE))
+    begin = max(settled - lead, pre)
+    return range(begin, s.t.size - lead - T + 1, T)
+
+
+def _motion(segments: list[_Segment], h: float) -> Motion:
+    n = max(s.t.size for s in segments)
+    dx = np.zeros((len(segments), n - 1, QUARTERS))
+    ticks = np.full((len(segments), n - 1), h)
+    speed = np.zeros(len(segments))
+    for k, s in enumerate(segments):
+        step = np.diff(s.t)
+        parts = np.arange(QUARTERS + 1) / QUARTERS
+        x = s.spline(s.t[:-1, None] + step[:, None] * parts)
+        dx[k, : step.size] = np.diff(x, axis=1)
+        ticks[k, : step.size] = step
+        first = np.abs(dx[k, : max(int(0.2 / h), 2)])
+        speed[k] = first.sum() / (first.shape[0] * h)
+    return Motion(dx=dx, h=ticks, speed0=speed)
+
+
+def _windows(
+    segments: list[_Segment],
+    cuts: list[tuple[int, int]],
+    T: int,
+    pre: int,
+    lead: int,
+    n: int,
+) -> tuple[Windows, np.ndarray]:
+    parts = np.arange(2 * n + 1) / (2 * n)
+    columns: dict[str, list] = {name: [] for name in Windows._fields}
+    P_0 = []
+    for k, first in cuts:
+        s = segments[k]
+        at = slice(first, first + lead + T)
+        back = slice(first - pre, first)
+        t = s.t[at]
+        h = np.append(np.diff(t), t[-1] - t[-2])
+        fine = t[:-1, None] + h[:-1, None] * parts
+        near = slice(max(first - 8, 0), first + 9)
+        slope = np.polyfit(s.t[near] - t[0], s.P[near], 1)
+        P_0.append(slope[1])
+        row = {
+            "seg": k,
+            "first": first,
+            "before": s.u[back],
+            "before_h": np.diff(s.t[first - pre : first + 1]),
+            "u": s.u[at],
+            "h": h,
+            "P_s": s.P_s[at],
+            "P_r": s.P_r[at],
+            "t": t - segments[k].t[0],
+            "x": s.spline(t),
+            "v": s.spline(t, 1),
+            "a": s.spline(t, 2),
+            "x_fine": s.spline(fine),
+            "v_fine": s.spline(fine, 1),
+            "P_a1": s.P[at, 0],
+            "P_a2": s.P[at, 1],
+            "measured": np.column_stack([s.P[at], s.F[at]])[lead:],
+        }
+        for name, value in row.items():
+            columns[name].append(value)
+    windows = Windows(**{k: np.array(v) for k, v in columns.items()})
+    return windows, np.array(P_0)
+
+
+def _noise(
+    logs: Sequence[Log], spec: RigSpec, segments: list[_Segment], driven_by: str
+) -> np.ndarray:
+    """Noise of each channel, from the rig file or the logs; inf where not compared."""
+    out = np.full(3, np.inf)
+    for c, name in enumerate(CHANNELS):
+        if name != "F" and driven_by != "u":
+            continue
+        if name != "F" and name not in logs[0].signals:
+            continue
+        if name == "F" and "F" not in logs[0].signals and "F" not in spec.load:
+            continue
+        if name in spec.sensors:
+            out[c] = spec.sensors[name]
+        else:
+            out[c] = _estimated(logs, spec, segments, name, driven_by)
+    return out
+
+
+def _estimated(logs, spec, segments, name, driven_by) -> float:
+    own = [estimate_noise(log.signals[name]) for log in logs if name in log.signals]
+    level = float(np.median(own)) if own else 0.0
+    if name == "F" and driven_by != "u":
+        # What drives the replay brings its own noise into the force.
+        areas = {"P": 1.0}
+        if driven_by == "pressures":
+            g = spec.geometry
+            areas = {
+                "P_a1": g.get("area_1", g.get("area", 0.0)),
+                "P_a2": g.get("area_2", g.get("area", 0.0)),
+            }
+        for drive, area in areas.items():
+            if drive in logs[0].signals:
+                each = [estimate_noise(log.signals[drive]) for log in logs]
+                level = float(np.hypot(level, area * np.median(each)))
+    return level

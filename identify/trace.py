@@ -1,0 +1,288 @@
+"""The loop: fit, residual, the effect behind it, refit, error before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import equinox as eqx
+import numpy as np
+
+from ..params import specs
+from ..rig import HYDRAULIC
+from .fit import (
+    PRESSURES,
+    Point,
+    Problem,
+    fit_force,
+    fit_jointly,
+    fit_pressures,
+    only,
+)
+from .score import Projection, Score, family, score
+
+AT_NOISE = 1.1
+"""A channel is at its noise when its error is within this factor of it."""
+SHARE = 0.3
+"""An effect that leaves a channel above its noise is named only if it took at least
+this share of the channel's excess (in squares): less is bending, not explaining."""
+TRIES = 4
+"""Candidates that are refitted in a round, and as many more as score nearly as high."""
+ROUNDS = 4
+"""Effects that a stage may add."""
+BEYOND_CHANCE = 3.0
+"""Standard errors by which the validation error must fall."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """An effect that was added, and what it did to the validation error, [3], SI."""
+
+    name: str
+    p_value: float
+    before: np.ndarray
+    after: np.ndarray
+    cannot_tell_from: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Tracing:
+    """The state of a trace.
+
+    `problem` and `check` hold the logs that are fitted and those that are not;
+    `effects` the candidates as they stand dormant in the model; `free` what is fitted
+    now; `point` where the fit stands. `scores` and `tried` say what is known of each
+    candidate, `added` what was found, in order.
+    """
+
+    problem: Problem
+    check: Problem
+    effects: Mapping[str, eqx.Module]
+    free: tuple[str, ...]
+    point: Point
+    matters: float
+    level: float
+    tell: Callable[[str], None]
+    added: tuple[Added, ...] = ()
+    scores: Mapping[str, Score] = field(default_factory=dict)
+    tried: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Each channel's noise, [3]."""
+        return np.asarray(self.problem.batch.noise)
+
+
+def trace(state: Tracing) -> Tracing:
+    """Look for effects until none is left that matters: pressures first, then all.
+
+    Force stands downstream of pressure, so what the pressures lack is found on them
+    alone; what is then left in the force cannot be the hydraulics' fault. `state` has
+    its pressures fitted (`fit_pressures`).
+    """
+    if state.problem.sees_pressures:
+        upstream = {
+            n: e
+            for n, e in state.effects.items()
+            if e.place in HYDRAULIC or e.place == "sensor_P"
+        }
+        state = _stage(state, upstream, only(state.noise, PRESSURES))
+    if np.isfinite(state.noise[2]):
+        problem, point = fit_force(state.problem, state.point.values, state.free)
+        state = replace(state, problem=problem, point=point)
+        state = _stage(state, state.effects, state.noise)
+    return state
+
+
+def _stage(
+    state: Tracing, effects: Mapping[str, eqx.Module], noise: np.ndarray
+) -> Tracing:
+    for _ in range(ROUNDS):
+        known = {a.name for a in state.added}
+        rest = {n: e for n, e in effects.items() if n not in known}
+        scores = _scores(state, rest, noise)
+        state = replace(state, scores={**state.scores, **scores})
+        more = _round(state, rest, scores, noise)
+        if len(more.added) == len(state.added):
+            return more
+        state = more
+    return state
+
+
+def strengths(effect: eqx.Module) -> list[str]:
+    """Names of an effect's strengths, as the model has them."""
+    return [f"{effect.name}.{n}" for n, s in specs(effect).items() if s.strength]
+
+
+def free_names(effect: eqx.Module) -> list[str]:
+    """Names of all parameters of an effect, as the model has them."""
+    return [f"{effect.name}.{n}" for n in specs(effect)]
+
+
+def _size_that_matters(state: Tracing, noise: np.ndarray) -> float:
+    """Chi-square of an RMS error that grows by `matters` of one channel's noise."""
+    windows, ticks, _ = state.problem.batch.windows.measured.shape
+    return ((1 + state.matters) ** 2 - 1) * windows * ticks
+
+
+def _scores(
+    state: Tracing, effects: Mapping[str, eqx.Module], noise: np.ndarray
+) -> dict[str, Score]:
+    """Every candidate's score at the present fit, each at its best shape."""
+    names = list(state.problem.model.names)
+    weights = np.where(np.isfinite(noise), state.point.weights, np.inf)
+    matters = _size_that_matters(state, noise)
+    free = [names.index(n) for n in state.free]
+    prior = np.zeros(len(names))
+    for i in free:
+        known = state.problem.free[names[i]].prior
+        prior[i] = state.problem.model.scale[i] / known if known else 0.0
+    grids = [len(s.grid) for e in effects.values() for s in specs(e).values()]
+    best: dict[str, Score] = {}
+    for g in range(max([1, *grids])):
+        values, shapes = _shaped(state, effects, g)
+        gram = np.array(state.problem.sums_at(values, weights).gram)
+        projection = Projection(gram, free, prior)
+        for name, effect in effects.items():
+            if g > 0 and name not in shapes:
+                continue
+            columns = [names.index(n) for n in strengths(effect)]
+            reach = np.array([
+                max(abs(s.lower), abs(s.upper)) / s.scale
+                for s in specs(effect).values()
+                if s.strength
+            ])
+            s = score(projection, name, columns, reach, matters, state.level)
+            if name not in best or s.gain > best[name].gain:
+                best[name] = replace(s, shape=shapes.get(name, {}))
+    return best
+
+
+def _shaped(
+    state: Tracing, effects: Mapping[str, eqx.Module], g: int
+) -> tuple[np.ndarray, dict[str, dict[str, float]]]:
+    """The present values with shapes at their g-th grid value, and those shapes."""
+    values = state.point.values.copy()
+    names = state.problem.model.names
+    shapes: dict[str, dict[str, float]] = {}
+    for name, effect in effects.items():
+        for f, s in specs(effect).items():
+            if g < len(s.grid):
+                values[names.index(f"{name}.{f}")] = s.grid[g]
+                shapes.setdefault(name, {})[f"{name}.{f}"] = s.grid[g]
+    return values, shapes
+
+
+def _round(
+    state: Tracing,
+    effects: Mapping[str, eqx.Module],
+    scores: Mapping[str, Score],
+    noise: np.ndarray,
+) -> Tracing:
+    """Refit the best few candidates and add the one that helps most, if one does."""
+    p = family({n: s.p_value for n, s in scores.items()})
+    least = 0.5 * _size_that_matters(state, noise)
+    worth = [
+        s
+        for s in sorted(scores.values(), key=lambda s: -s.gain)
+        if s.gain > least and p[s.name] < state.level
+    ]
+    before = state.check.errors_at(state.point.values)
+    tried = dict(state.tried)
+    helped: list[tuple[float, str, Problem, Point, np.ndarray]] = []
+    for i, s in enumerate(worth):
+        if i >= TRIES and s.gain < 0.9 * worth[0].gain:
+            break
+        state.tell(f"refit with {s.name}")
+        problem, point = _refit(state, effects[s.name], s, noise)
+        after = state.check.errors_at(point.values)
+        tried[s.name] = judge(state, before, after, noise)
+        if tried[s.name] == "helps":
+            helped.append((_cost(after, noise), s.name, problem, point, after))
+    state = replace(state, tried=tried)
+    if not helped:
+        return state
+    helped.sort(key=lambda h: h[0])
+    _, name, problem, point, after = helped[0]
+    alike = tuple(n for _, n, _, _, a in helped[1:] if not _worse(a, after, noise))
+    rms = state.check.rms
+    state.tell(f"added {name}")
+    return replace(
+        state,
+        problem=problem,
+        point=point,
+        free=(*state.free, *free_names(effects[name])),
+        added=(*state.added, Added(name, p[name], rms(before), rms(after), alike)),
+    )
+
+
+def _refit(
+    state: Tracing, effect: eqx.Module, s: Score, noise: np.ndarray
+) -> tuple[Problem, Point]:
+    """Fit again with the effect free, from half the step that its score foresees."""
+    problem, values = state.problem, state.point.values.copy()
+    names = list(problem.model.names)
+    for n, step in zip(strengths(effect), s.step, strict=True):
+        i, f = names.index(n), problem.free[n]
+        values[i] = np.clip(0.5 * step * problem.model.scale[i], f.lower, f.upper)
+    for n, value in s.shape.items():
+        values[names.index(n)] = value
+    free = (*state.free, *free_names(effect))
+    if np.isfinite(noise[2]):
+        return fit_jointly(problem, values, free, state.point.weights)
+    problem, values = fit_pressures(problem, values, free)
+    return problem, replace(state.point, values=values)
+
+
+def judge(
+    state: Tracing, before: np.ndarray, after: np.ndarray, noise: np.ndarray
+) -> str:
+    """Whether an effect helps, from validation errors [W, 3] before and after.
+
+    It must lower some channel's error beyond chance (paired by window) by `matters`
+    of its noise, and either bring that channel to its noise or take a fair share of
+    what stood above it.
+    """
+    seen = np.isfinite(noise)
+    sigma = noise[seen]
+    a, b = state.check.rms(after)[seen], state.check.rms(before)[seen]
+    fall = (before - after)[:, seen]
+    error = fall.std(axis=0, ddof=1) / np.sqrt(len(fall))
+    sure = fall.mean(axis=0) > BEYOND_CHANCE * np.maximum(error, 1e-300)
+    helps = sure & (b - a > state.matters * sigma)
+    if not helps.any():
+        return "too small" if sure.any() else "does not help"
+    share = (b**2 - a**2) / np.maximum(b**2 - sigma**2, 1e-300)
+    if not np.any(helps & ((a <= AT_NOISE * sigma) | (share > SHARE))):
+        return "explains too little"
+    return "helps"
+
+
+def _cost(sse: np.ndarray, noise: np.ndarray) -> float:
+    seen = np.isfinite(noise)
+    return float(np.sum(sse[:, seen] / noise[seen] ** 2))
+
+
+def _worse(a: np.ndarray, b: np.ndarray, noise: np.ndarray) -> bool:
+    """Whether errors `a` are larger than `b` beyond chance, paired by window."""
+    seen = np.isfinite(noise)
+    d = np.sum((a - b)[:, seen] / noise[seen] ** 2, axis=1)
+    return bool(d.mean() > 2.0 * d.std(ddof=1) / np.sqrt(len(d)))
+
+
+def sizes(state: Tracing) -> Sequence[str]:
+    """Statuses of all candidates, by name: what a trace says of each."""
+    return tuple(status(state, n) for n in state.effects)
+
+
+def status(state: Tracing, name: str) -> str:
+    """`added`, `rejected`, `absent` or `cannot tell`."""
+    if any(a.name == name for a in state.added):
+        return "added"
+    s = state.scores.get(name)
+    if s is None:
+        return "cannot tell"
+    p = family({n: x.p_value for n, x in state.scores.items()})[name]
+    if p < state.level:
+        return "rejected"
+    return "absent" if s.power >= 0.8 else "cannot tell"
