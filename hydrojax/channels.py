@@ -2,7 +2,7 @@
 
 A channel maps `(memory, signal) -> (memory, signal)` over one tick and is the identity
 when its strengths are zero, with a live derivative there. On the command's path the
-signal is the *mean* over the tick, since a chamber integrates it; a sensor's signal is
+signal is the *mean* over the step, since a chamber integrates it; a sensor's signal is
 its value at the end of the tick, taken as linear in between.
 """
 
@@ -16,8 +16,9 @@ from jaxtyping import Array
 
 from .params import param
 
-QUEUE = 32
-"""Ticks of command that a delay can reach back."""
+QUEUE = 48
+"""Steps of command that a delay can reach back: 11 ms on a log at 1 kHz, whose ticks
+are run in four parts."""
 
 
 class CommandChannel(eqx.Module):
@@ -43,7 +44,7 @@ class ValveDelay(CommandChannel):
     name = "valve_delay"
     betrayed_by = "u_rate"
     tau_u: Array = param(
-        "s", 0.0, 0.0, 0.03, "command delay", strength=True, size=1e-3
+        "s", 0.0, 0.0, 0.011, "command delay", strength=True, size=1e-3
     )
 
     def init(self, u):
@@ -109,7 +110,7 @@ class ValveLag(CommandChannel):
         size=5e-4,
         outside=("omega", "rad/s"),
     )
-    zeta: Array = param("1", 0.7, 0.2, 0.99, "spool damping ratio", prior=0.1)
+    zeta: Array = param("1", 0.7, 0.2, 0.99, "spool damping ratio", prior=0.2)
 
     def init(self, u):
         return u, jnp.zeros_like(u)

@@ -31,13 +31,18 @@ def root_flow(drop: Float[Array, "..."], core: float = LAMINAR_CORE) -> Array:
 
 
 class Point(NamedTuple):
-    """Where the hydraulics stand at one instant; SI, every field of one shape."""
+    """Where the hydraulics stand at one instant; SI, every field of one shape.
+
+    `open_p` and `open_n` are the means over the tick of the spool's opening toward
+    either side, both >= 0: a spool that crosses zero inside a tick opens both.
+    """
 
     P_a1: Array
     P_a2: Array
     P_s: Array
     P_r: Array
-    u: Array
+    open_p: Array
+    open_n: Array
     x: Array
     v: Array
 
@@ -57,16 +62,17 @@ class Lands(eqx.Module):
         that draws on the supply (m^3/(s Pa^0.5)) and the pressure available across
         it to a pressure drop.
         """
-        opens = at.u > 0
-        chamber = jnp.where(opens, at.P_a1, at.P_a2)
-        edge = jnp.where(opens, self.c_p1, self.c_p2) * jnp.abs(at.u)
-        available = at.P_s - chamber
-        across = available - sum(d.drop(edge, available) for d in drops)
-        drawn = edge * root_flow(across)
-        other = jnp.where(opens, at.P_a2, at.P_a1)
-        drain = jnp.where(opens, self.c_n2, self.c_n1) * jnp.abs(at.u)
-        returned = drain * root_flow(other - at.P_r)
-        return jnp.where(opens, drawn, -returned), jnp.where(opens, -returned, drawn)
+
+        def drawn(edge, chamber):
+            available = at.P_s - chamber
+            lost = sum(d.drop(edge, available) for d in drops)
+            return edge * root_flow(available - lost)
+
+        q_1 = drawn(self.c_p1 * at.open_p, at.P_a1)
+        q_2 = drawn(self.c_p2 * at.open_n, at.P_a2)
+        q_1 = q_1 - self.c_n1 * at.open_n * root_flow(at.P_a1 - at.P_r)
+        q_2 = q_2 - self.c_n2 * at.open_p * root_flow(at.P_a2 - at.P_r)
+        return q_1, q_2
 
 
 class Chambers(eqx.Module):

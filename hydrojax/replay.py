@@ -37,7 +37,7 @@ class Windows(NamedTuple):
     The first `lead` ticks let memories settle and are not compared. `before` [W, pre]
     is the command that precedes, `before_h` its tick lengths. `u`, `h`, `P_s`, `P_r`,
     `t`, `x`, `v`, `a`, `P_a1`, `P_a2` are [W, lead+T], at the ticks; `h` is the tick
-    that follows. `x_fine`, `v_fine` are [W, lead+T-1, 2n+1], `measured` [W, T, 3]
+    that follows. `x_fine` is [W, lead+T-1, 2n+1], `measured` [W, T, 3]
     (P_a1, P_a2, F), `seg` and `first` say where each window lies in its segment.
     """
 
@@ -54,7 +54,6 @@ class Windows(NamedTuple):
     v: Array
     a: Array
     x_fine: Array
-    v_fine: Array
     P_a1: Array
     P_a2: Array
     measured: Array
@@ -88,8 +87,8 @@ def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
 
     def advance(carry, tick):
         memory, P = carry
-        memory, u = rig.command_step(memory, tick.u, tick.h)
-        P = rig.pressure_step(P, u, tick)
+        memory, opening = rig.command_step(memory, tick.u, tick.h)
+        P = rig.pressure_step(P, opening, tick)
         return (memory, P), P
 
     memory = rig.command_init(w.before[:, 0])
@@ -104,8 +103,8 @@ def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
         P_s=ends(w.P_s),
         P_r=ends(w.P_r),
         x=w.x_fine,
-        v=w.v_fine,
         dx=w.x_fine[..., :0],
+        v=w.v[:, 1:],
         a=w.a[:, 1:],
         t=w.t[:, 1:],
     )

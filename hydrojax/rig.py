@@ -31,12 +31,17 @@ HYDRAULIC = ("lands", "chambers", "command", "supply", "flow", "compliance")
 """The parts of a rig on which the pressures depend."""
 
 
+PARTS = 4
+"""Parts of a tick over which the command's path is run: within one, the spool's mean
+opening stands for its course."""
+
+
 class Tick(NamedTuple):
     """What drives the plant over one tick of length `h`; SI.
 
-    Motion is given at the ends and middles of the substeps, so `x` and `v` are
-    [..., 2n + 1] for n substeps; `P_s` and `P_r` are [..., 2], at the tick's ends;
-    `u` is held.
+    `u` is held. `P_s` and `P_r` are [..., 2], at the tick's ends. `x` [..., 2n + 1] is
+    the position at the ends and middles of n substeps, `dx` [..., 4] the displacement
+    over each quarter, for the bristle; `v`, `a` and `t` hold at the tick's end.
     """
 
     h: Array
@@ -44,10 +49,10 @@ class Tick(NamedTuple):
     P_s: Array
     P_r: Array
     x: Array
+    dx: Array
     v: Array
-    dx: Array  # [..., 4] displacement over each quarter of the tick, for the bristle
-    a: Array  # at the tick's end
-    t: Array  # at the tick's end
+    a: Array
+    t: Array
 
 
 class State(NamedTuple):
@@ -89,13 +94,24 @@ class Rig(eqx.Module):
         """Memories of the command's path at rest under `u`."""
         return tuple(c.init(u) for c in self.command)
 
-    def command_step(self, memory: tuple, u: Array, h: Array) -> tuple[tuple, Array]:
-        """The command's way to the spool over one tick: memory, mean opening."""
-        out = []
-        for channel, m in zip(self.command, memory, strict=True):
-            m, u = channel.step(m, u, h)
-            out.append(m)
-        return tuple(out), u
+    def command_step(
+        self, memory: tuple, u: Array, h: Array
+    ) -> tuple[tuple, tuple[Array, Array]]:
+        """The command's way to the spool over one tick.
+
+        Returns the memories and the mean openings toward either side, both >= 0.
+        """
+        open_p, open_n = jnp.zeros_like(u), jnp.zeros_like(u)
+        for _ in range(PARTS if self.command else 1):
+            spool, out = u, []
+            for channel, m in zip(self.command, memory, strict=True):
+                m, spool = channel.step(m, spool, h / PARTS)
+                out.append(m)
+            memory = tuple(out)
+            open_p = open_p + jnp.where(spool > 0, spool, 0.0)
+            open_n = open_n - jnp.where(spool > 0, 0.0, spool)
+        count = PARTS if self.command else 1
+        return memory, (open_p / count, open_n / count)
 
     def pressure_rates(self, at: Point) -> tuple[Array, Array]:
         """Rates of both chamber pressures, Pa/s; (12)-(15)."""
@@ -105,32 +121,33 @@ class Rig(eqx.Module):
             q_1, q_2 = q_1 + e_1, q_2 + e_2
         return self.chambers.rates(at, q_1, q_2, self.compliance)
 
-    def pressure_step(self, P: tuple, u: Array, tick: Tick) -> tuple[Array, Array]:
-        """Both pressures over one tick: classical Runge-Kutta in n substeps."""
+    def pressure_step(
+        self, P: tuple[Array, Array], opening: tuple[Array, Array], tick: Tick
+    ) -> tuple[Array, Array]:
+        """Both pressures over one tick, by the midpoint rule in n substeps.
+
+        Each substep moves the piston by its exact displacement, so what is left of
+        the error is the pressures' own, of second order.
+        """
         n = (tick.x.shape[-1] - 1) // 2
         h = tick.h / n
-        rise_s, rise_r = (p[..., 1] - p[..., 0] for p in (tick.P_s, tick.P_r))
 
-        def rates(P, k):
+        def rates(P, k, v):
             part = k / (2 * n)
-            p_s = tick.P_s[..., 0] + part * rise_s
-            p_r = tick.P_r[..., 0] + part * rise_r
-            at = Point(P[0], P[1], p_s, p_r, u, tick.x[..., k], tick.v[..., k])
-            return self.pressure_rates(at)
-
-        def moved(P, by, rate):
-            return P[0] + by * rate[0], P[1] + by * rate[1]
+            p_s, p_r = (
+                p[..., 0] + part * (p[..., 1] - p[..., 0])
+                for p in (tick.P_s, tick.P_r)
+            )
+            return self.pressure_rates(
+                Point(*P, p_s, p_r, *opening, tick.x[..., k], v)
+            )
 
         for i in range(n):
-            r_1 = rates(P, 2 * i)
-            r_2 = rates(moved(P, h / 2, r_1), 2 * i + 1)
-            r_3 = rates(moved(P, h / 2, r_2), 2 * i + 1)
-            r_4 = rates(moved(P, h, r_3), 2 * i + 2)
-            mean = [
-                (a + 2 * b + 2 * c + d) / 6
-                for a, b, c, d in zip(r_1, r_2, r_3, r_4, strict=True)
-            ]
-            P = moved(P, h, mean)
+            v = (tick.x[..., 2 * i + 2] - tick.x[..., 2 * i]) / h
+            first = rates(P, 2 * i, v)
+            middle = tuple(p + h / 2 * r for p, r in zip(P, first, strict=True))
+            second = rates(middle, 2 * i + 1, v)
+            P = (P[0] + h * second[0], P[1] + h * second[1])
         return P
 
     def drive_force(self, P_a1: Array, P_a2: Array) -> Array:
@@ -162,8 +179,8 @@ class Rig(eqx.Module):
 
         Returns the new state and what the sensors read, `P_a1 P_a2 F` in SI.
         """
-        command, u = self.command_step(state.command, tick.u, tick.h)
-        P = self.pressure_step(state.P, u, tick)
+        command, opening = self.command_step(state.command, tick.u, tick.h)
+        P = self.pressure_step(state.P, opening, tick)
         z, speed = state.z, state.speed
         for i in range(tick.dx.shape[-1]):
             dx = tick.dx[..., i]
@@ -171,7 +188,7 @@ class Rig(eqx.Module):
             z = keep * z + add
             keep, add = self.mechanics.speed_map(dx, tick.h / tick.dx.shape[-1])
             speed = keep * speed + add
-        x, v = tick.x[..., -1], tick.v[..., -1]
+        x, v = tick.x[..., -1], tick.v
         rate = self.mechanics.z_rate(z, v)
         P_s = tick.P_s[..., 1]
         F = self.output_force(Sliding(tick.t, x, v, tick.a, z, rate, speed, *P, P_s))

@@ -19,7 +19,7 @@ from .misfit import Basis, Batch, Model, Sums, basis, slot_names, sums
 from .prepare import Data
 from .solve import Fit, minimise
 
-SPARE = (4, 6)
+SPARE = (4, 8)
 """Columns kept free for effects that a trace adds: hydraulic, other."""
 
 
@@ -58,7 +58,8 @@ def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
 def batch_of(data: Data) -> Batch:
     """A fit's arrays from prepared logs."""
     ones = np.ones(data.P_0.shape[0])
-    made = Batch(data.motion, data.windows, data.P_0, data.noise, ones)
+    supply = np.asarray(data.supply_noise)
+    made = Batch(data.motion, data.windows, data.P_0, data.noise, supply, ones)
     return jax.tree.map(jnp.asarray, made)
 
 
@@ -185,9 +186,15 @@ class Problem:
         return self._evaluate(values, every, batch)
 
     def errors_at(self, values: np.ndarray) -> np.ndarray:
-        """Squared residuals by window and channel, [W, 3], SI, nothing else."""
+        """Squared residuals by window and channel, [W, 3], SI, nothing else.
+
+        The windows' initial pressures are corrected twice: logs that take no part in
+        a fit come with a first guess only, too far off for one linear step.
+        """
         none = basis(self.model, (), (0, 0))
-        return np.asarray(self._evaluate(values, none, self.batch).sse)
+        first = self._evaluate(values, none, self.batch)
+        again = self.restarted(first)
+        return np.asarray(again._evaluate(values, none, again.batch).sse)
 
     def _evaluate(self, values, directions, batch) -> Sums:
         directions = jax.tree.map(jnp.asarray, directions)
@@ -198,7 +205,7 @@ class Problem:
         """The problem with each window's initial pressures moved to their estimate."""
         batch = self.batch
         return replace(
-            self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :, -1])
+            self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :2, -1])
         )
 
     def initial_values(self) -> np.ndarray:
@@ -308,6 +315,6 @@ def fit_pressures(
     for _ in range(3):
         values, out = problem.solve(values, names, noise)
         problem = problem.restarted(out.also)
-        if np.median(np.abs(out.also.start[:, :, -1])) < 0.5 * np.min(noise):
+        if np.median(np.abs(out.also.start[:, :2, -1])) < 0.5 * np.min(noise):
             break
     return problem, values

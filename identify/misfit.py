@@ -27,6 +27,13 @@ START_SPREAD = 3e5
 a chamber that no channel sees in place."""
 
 
+SUPPLY_BLOCKS = 3
+"""Pieces of a window in each of which the supply's measurement error is a constant."""
+
+NUISANCE = 2 + SUPPLY_BLOCKS
+"""What each window has of its own: two initial pressures, and the supply's errors."""
+
+
 class Model(NamedTuple):
     """A rig and the order of its parameters: hydraulic ones first.
 
@@ -54,19 +61,28 @@ class Model(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What a fit runs on, as arrays; `noise` [3], `weight` [W] (0 for padding)."""
+    """What a fit runs on, as arrays; `noise` [3], `weight` [W] (0 for padding).
+
+    `supply_noise` is the standard deviation of the measured P_s, Pa (0 where the log
+    has none): white noise there integrates to a drift of the pressures, which would
+    otherwise be taken for a fault of the model.
+    """
 
     motion: Motion
     windows: Windows
     P_0: Array
     noise: Array
+    supply_noise: Array
     weight: Array
 
 
+_OWN_PRIOR = np.diag([1 / START_SPREAD**2] * 2 + [1.0] * SUPPLY_BLOCKS)
+
+
 class Sums(NamedTuple):
-    """Per window: `gram` [W, k+1, k+1] of [sensitivities, residual], whitened, the
-    initial pressures eliminated; `start` [W, 2, k+1] their solution; `sse` [W, 3]
-    squared residuals by channel, SI."""
+    """Per window: `gram` [W, k+1, k+1] of [sensitivities, residual], whitened, what
+    the window has of its own eliminated; `start` [W, NUISANCE, k+1] its solution (of
+    the residual, with the sign turned); `sse` [W, 3] squared residuals, SI."""
 
     gram: Array
     start: Array
@@ -121,9 +137,10 @@ def predict(rig: Rig, batch: Batch, simulate: bool) -> Array:
 def sensitivities(
     model: Model, values: Array, directions: Basis, batch: Batch, simulate: bool
 ) -> tuple[Array, Array]:
-    """Predictions [W, T, 3] and their derivatives [k+2, W, T, 3].
+    """Predictions [W, T, 3] and their derivatives [k + NUISANCE, W, T, 3].
 
-    The columns are those of `directions`, then the two initial pressures (per Pa).
+    The columns are those of `directions`, then the two initial pressures (per Pa) and
+    the supply's error in each block (per standard deviation of its mean).
     Forward mode, in the three stages of the replay, so that friction's columns never
     pay for the integration of the pressures.
     """
@@ -131,9 +148,14 @@ def sensitivities(
     w = batch.windows
     k_1, k_2 = directions.hydraulic.shape[1], directions.other.shape[1]
 
-    def run(d, P_shift):
+    ticks = w.P_s.shape[1]
+    block = jnp.arange(ticks) * SUPPLY_BLOCKS // ticks
+    of_mean = batch.supply_noise / np.sqrt(ticks / SUPPLY_BLOCKS)
+
+    def run(d, P_shift, supply):
         at = put(rig, names[:n], values[:n] + directions.hydraulic @ d)
-        return pressures(at, w, batch.P_0 + P_shift)
+        moved = w._replace(P_s=w.P_s + of_mean * supply[block])
+        return pressures(at, moved, batch.P_0 + P_shift)
 
     def memory(of):
         return friction_memory(put(rig, MEMORY, of), batch.motion)
@@ -145,25 +167,23 @@ def sensitivities(
         jax.jvp(memory, (remembered,), (row,))[1] for row in jnp.eye(len(MEMORY))
     ]
     if simulate:
-        eye = jnp.eye(k_1 + 2)
+        zero = (jnp.zeros(k_1), jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS))
         P, d_P = jax.vmap(
-            lambda e: jax.jvp(
-                run, (jnp.zeros(k_1), jnp.zeros(2)), (e[:k_1], e[k_1:])
-            ),
+            lambda e: jax.jvp(run, zero, (e[:k_1], e[k_1 : k_1 + 2], e[k_1 + 2 :])),
             out_axes=(None, 0),
-        )(eye)
+        )(jnp.eye(k_1 + NUISANCE))
         zeros = jnp.zeros((k_2, *P[0].shape))
         d_P = [jnp.concatenate([d[:k_1], zeros, d[k_1:]]) for d in d_P]
     else:
         P = (w.P_a1, w.P_a2)
-        d_P = [jnp.zeros((k_1 + k_2 + 2, *P[0].shape))] * 2
+        d_P = [jnp.zeros((k_1 + k_2 + NUISANCE, *P[0].shape))] * 2
 
     def force(d, P_a1, P_a2, z, speed):
         at = put(here, names[n:], values[n:] + directions.other @ d)
         return readings(at, w, P_a1, P_a2, z, speed)
 
     columns = jnp.concatenate(
-        [jnp.zeros((k_1, k_2)), jnp.eye(k_2), jnp.zeros((2, k_2))]
+        [jnp.zeros((k_1, k_2)), jnp.eye(k_2), jnp.zeros((NUISANCE, k_2))]
     )
     rows = jnp.stack(
         [directions.other[names.index(m) - n] for m in MEMORY]
@@ -189,14 +209,14 @@ def sums(
     seen = jnp.isfinite(batch.noise)
     white = jnp.where(seen, 1 / jnp.where(seen, batch.noise, 1.0), 0.0)
     residual = jnp.where(seen, batch.windows.measured - y, 0.0)
-    k = dy.shape[0] - 2
-    stack = jnp.concatenate([-dy, residual[None]]) * white  # [k+3, W, T, 3]
-    stack = jnp.moveaxis(stack, 1, 0).reshape(residual.shape[0], k + 3, -1)
+    k = dy.shape[0] - NUISANCE
+    stack = jnp.concatenate([-dy, residual[None]]) * white  # [k+NUISANCE+1, W, T, 3]
+    stack = jnp.moveaxis(stack, 1, 0).reshape(*residual.shape[:1], len(stack), -1)
     full = jnp.einsum("wit,wjt->wij", stack, stack)
-    keep = np.r_[0:k, k + 2]
-    B = full[:, k : k + 2, k : k + 2] + jnp.eye(2) / START_SPREAD**2
-    cross = full[:, k : k + 2, keep]
-    start = jnp.linalg.solve(B, cross)
+    keep = np.r_[0:k, k + NUISANCE]
+    own = slice(k, k + NUISANCE)
+    cross = full[:, own, keep]
+    start = jnp.linalg.solve(full[:, own, own] + _OWN_PRIOR, cross)
     gram = full[:, keep[:, None], keep] - jnp.einsum("wia,wib->wab", cross, start)
     weight = batch.weight
     return Sums(
@@ -209,14 +229,15 @@ def sums(
 def _errors(residual: Array, dy: Array, white: Array, start: Array) -> Array:
     """Squared residuals by window and channel, [W, 3].
 
-    The force is judged with the initial pressures that all channels together give;
+    The force is judged with the initial state that all channels together give;
     the pressures with those that they give themselves, so that a force which the
     model cannot follow is not held against them.
     """
-    own = white * jnp.array([1.0, 1.0, 0.0])
-    B = jnp.einsum("iwtc,jwtc->wij", dy * own, dy * own) + jnp.eye(2) / START_SPREAD**2
-    by_itself = jnp.linalg.solve(B, -jnp.einsum("iwtc,wtc->wi", dy * own, residual * own)[..., None])
-    own_left = residual + jnp.einsum("iwtc,wi->wtc", dy, by_itself[..., 0])
+    seen = dy * white * jnp.array([1.0, 1.0, 0.0])
+    B = jnp.einsum("iwtc,jwtc->wij", seen, seen) + _OWN_PRIOR
+    cross = jnp.einsum("iwtc,wtc->wi", seen, residual * white)
+    by_themselves = jnp.linalg.solve(B, -cross[..., None])[..., 0]
+    own_left = residual + jnp.einsum("iwtc,wi->wtc", dy, by_themselves)
     left = residual + jnp.einsum("iwtc,wi->wtc", dy, start)
     return jnp.concatenate(
         [jnp.sum(own_left[..., :2] ** 2, 1), jnp.sum(left[..., 2:] ** 2, 1)], axis=-1

@@ -37,6 +37,7 @@ class Data:
         P_0: [W, 2] first guess of the pressures at each window's first tick, Pa.
         log: [W] which log each window comes from.
         noise: [3] standard deviation of each channel's noise, SI; inf if not compared.
+        supply_noise: standard deviation of the measured P_s, Pa; 0 if not measured.
         driven_by: `u`, or what else drives the replay.
         travel: range of x that is compared, m.
         notes: one-line remarks for the report.
@@ -47,6 +48,7 @@ class Data:
     P_0: np.ndarray
     log: np.ndarray
     noise: np.ndarray
+    supply_noise: float
     driven_by: str
     travel: tuple[float, float]
     notes: tuple[str, ...]
@@ -105,13 +107,6 @@ def low_pass(t: np.ndarray, y: np.ndarray, cut: float) -> np.ndarray:
     h = float(np.median(np.diff(t)))
     sos = signal.butter(4, min(cut * 2 * h, 0.9), output="sos")
     return signal.sosfiltfilt(sos, y)
-
-
-def _smooth(y: np.ndarray, width: int = 31) -> np.ndarray:
-    """A measured supply pressure without the noise that would drive the plant."""
-    if np.ptp(y) == 0 or y.size <= width:
-        return y
-    return signal.savgol_filter(y, width, 3)
 
 
 @dataclass(frozen=True)
@@ -179,6 +174,7 @@ def prepare(
         P_0=P_0,
         log=np.array([segments[k].log for k, _ in cuts]),
         noise=noise,
+        supply_noise=_supply_noise(logs, spec),
         driven_by=driven_by,
         travel=travel,
         notes=tuple(dict.fromkeys(notes)),
@@ -253,8 +249,8 @@ def _segment(
         t=t,
         spline=interpolate.make_interp_spline(t, x, k=5),
         u=get.get("u", zero),
-        P_s=_smooth(get["P_s"]) if "P_s" in get else zero + spec.supply["P_s"],
-        P_r=_smooth(get["P_r"]) if "P_r" in get else zero + spec.supply["P_r"],
+        P_s=get["P_s"] if "P_s" in get else zero + spec.supply["P_s"],
+        P_r=get["P_r"] if "P_r" in get else zero + spec.supply["P_r"],
         P=P,
         F=F,
     )
@@ -319,7 +315,6 @@ def _windows(
             "v": s.spline(t, 1),
             "a": s.spline(t, 2),
             "x_fine": s.spline(fine),
-            "v_fine": s.spline(fine, 1),
             "P_a1": s.P[at, 0],
             "P_a2": s.P[at, 1],
             "measured": np.column_stack([s.P[at], s.F[at]])[lead:],
@@ -347,6 +342,15 @@ def _noise(
         else:
             out[c] = _estimated(logs, spec, segments, name, driven_by)
     return out
+
+
+def _supply_noise(logs: Sequence[Log], spec: RigSpec) -> float:
+    if "P_s" not in logs[0].signals:
+        return 0.0
+    if "P_s" in spec.sensors:
+        return spec.sensors["P_s"]
+    moving = [p for log in logs if np.ptp(p := log.signals["P_s"]) > 0]
+    return float(np.median([estimate_noise(p) for p in moving])) if moving else 0.0
 
 
 def _estimated(logs, spec, segments, name, driven_by) -> float:

@@ -51,33 +51,41 @@ class PressureFriction(LevelEffect):
         return base * self.a * (at.P_a1 + at.P_a2) / (2 * at.P_s)
 
 
-class PositionFriction(LevelEffect):
-    """Coulomb level that varies along the stroke (F6): six cosines, zero mean.
+def _wave(says: str) -> Array:
+    return param("1", 0.0, -1.5, 1.5, says, strength=True, size=0.05, prior=0.5)
 
-    `x_from` and `x_to` are the travel over which the cosines run, taken from the logs
-    that are fitted; outside it the level stays at its end value.
+
+class PositionFriction(LevelEffect):
+    """Coulomb level that varies along the stroke (F6): a wave and two overtones.
+
+    The wavelength is free, so that a bore's own wave is met exactly; at twice the
+    travel the three waves follow any smooth profile. `x_from` and `x_to` are the
+    travel (m), of the logs that are fitted.
     """
 
     name = "position_friction"
     betrayed_by = "x"
     x_from: Array = eqx.field(default=-0.1, converter=lambda x: jnp.asarray(x, float))
     x_to: Array = eqx.field(default=0.1, converter=lambda x: jnp.asarray(x, float))
-    a_1: Array = param("1", 0.0, -1.0, 1.0, "half wave", strength=True, size=0.05)
-    a_2: Array = param("1", 0.0, -1.0, 1.0, "one wave", strength=True, size=0.05)
-    a_3: Array = param("1", 0.0, -1.0, 1.0, "1.5 waves", strength=True, size=0.05)
-    a_4: Array = param("1", 0.0, -1.0, 1.0, "two waves", strength=True, size=0.05)
-    a_5: Array = param("1", 0.0, -1.0, 1.0, "2.5 waves", strength=True, size=0.05)
-    a_6: Array = param("1", 0.0, -1.0, 1.0, "three waves", strength=True, size=0.05)
+    s_1: Array = _wave("sine")
+    c_1: Array = _wave("cosine")
+    s_2: Array = _wave("sine, first overtone")
+    c_2: Array = _wave("cosine, first overtone")
+    s_3: Array = _wave("sine, second overtone")
+    c_3: Array = _wave("cosine, second overtone")
+    waves: Array = param(
+        "1", 1.0, 0.3, 5.0, "waves in the travel", grid=(0.5, 1.0, 2.0)
+    )
 
     def level(self, at, base):
-        s = jnp.clip((at.x - self.x_from) / (self.x_to - self.x_from), 0.0, 1.0)
-        c = jnp.cos(jnp.pi * s)
-        waves, last = c * self.a_1, (jnp.ones_like(c), c)
-        # Chebyshev's recurrence: cos((k+1) y) = 2 cos y cos(k y) - cos((k-1) y).
-        for a in (self.a_2, self.a_3, self.a_4, self.a_5, self.a_6):
-            last = (last[1], 2 * c * last[1] - last[0])
-            waves = waves + a * last[1]
-        return base * waves
+        half = (self.x_to + self.x_from) / 2
+        angle = 2 * jnp.pi * self.waves * (at.x - half) / (self.x_to - self.x_from)
+        s, c = jnp.sin(angle), jnp.cos(angle)
+        s2, c2 = 2 * s * c, c * c - s * s
+        wave = self.s_1 * s + self.c_1 * c + self.s_2 * s2 + self.c_2 * c2
+        return base * (
+            wave + self.s_3 * (s2 * c + c2 * s) + self.c_3 * (c2 * c - s2 * s)
+        )
 
 
 class FrictionDrift(LevelEffect):
