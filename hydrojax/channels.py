@@ -189,7 +189,7 @@ class LoadcellLag(_Lag):
 
     name = "loadcell_lag"
     place = "sensor_F"
-    needs = ("F",)
+    needs = ("loadcell",)
     betrayed_by = "F_rate"
     tau_F: Array = param("s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4)
 
@@ -202,7 +202,7 @@ class LoadcellGain(SensorChannel):
 
     name = "loadcell_gain"
     place = "sensor_F"
-    needs = ("F",)
+    needs = ("loadcell",)
     betrayed_by = "F"
     eps: Array = param("1", 0.0, -0.5, 0.5, "gain error", strength=True, size=0.01)
 

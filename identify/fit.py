@@ -15,13 +15,27 @@ from jaxtyping import Array
 from ..params import Spec
 from ..rig import Rig, parameter_specs, put
 from ..rigfile import RigSpec
-from .misfit import Basis, Batch, Model, Sums, basis, slot_names, sums
+from .misfit import (
+    Basis,
+    Batch,
+    Model,
+    Sums,
+    basis,
+    leftover,
+    slot_names,
+    sums,
+)
 from .prepare import Data
 from .solve import Fit, minimise
 
-SPARE = (4, 8)
-"""Columns kept free for effects that a trace adds: hydraulic, other."""
+SPARE = ((0, 0), (2, 3), (4, 9), (8, 20), (16, 40))
+"""Columns kept free for effects that a trace adds (hydraulic, other): the first that
+holds them is taken, so that few programs serve every fit."""
 
+
+COULOMB = ("k_cp", "k_cn")
+TIED = 1e-3
+"""How closely (N) a symmetric fit holds k_cp and k_cn together."""
 
 PRESSURES = np.array([True, True, False])
 """Which channels are pressures."""
@@ -42,9 +56,7 @@ def free_parameters(spec: RigSpec) -> dict[str, Free]:
     entries = dict(spec.parameters)
     for effect, given in spec.effects.items():
         entries |= {f"{effect}.{name}": e for name, e in given.items()}
-    return {
-        name: Free(e.start, *e.range) for name, e in entries.items() if e.range
-    }
+    return {name: Free(e.start, *e.range) for name, e in entries.items() if e.range}
 
 
 def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
@@ -67,8 +79,7 @@ def _gram(
     model: Model,
     values: Array,
     directions: Basis,
-    prior: Array,
-    offset: Array,
+    prior: tuple[Array, Array],
     batch: Batch,
     simulate: bool,
     d: Array,
@@ -76,20 +87,17 @@ def _gram(
     """Gram matrix at `values` moved by `d` along the directions, with priors; and the
     sums there, without the matrices of the single windows."""
     k_1 = directions.hydraulic.shape[1]
-    move = jnp.concatenate(
-        [directions.hydraulic @ d[:k_1], directions.other @ d[k_1:]]
-    )
+    move = jnp.concatenate([directions.hydraulic @ d[:k_1], directions.other @ d[k_1:]])
     at = sums(model, values + move, directions, batch, simulate)
     total = jnp.sum(at.gram, 0)
-    rows = jnp.concatenate(
-        [jnp.diag(prior), (prior * (d + offset))[:, None]], axis=1
-    )  # a prior is one more residual row per column
+    slope, at_zero = prior  # what is known beforehand is more residual rows
+    rows = jnp.concatenate([slope, (slope @ d + at_zero)[:, None]], axis=1)
     return total + rows.T @ rows, at._replace(gram=at.gram[:, :0])
 
 
 @eqx.filter_jit
-def _run(model, values, directions, prior, offset, lower, upper, batch, simulate):
-    gram = partial(_gram, model, values, directions, prior, offset, batch, simulate)
+def _run(model, values, directions, prior, lower, upper, batch, simulate):
+    gram = partial(_gram, model, values, directions, prior, batch, simulate)
     return minimise(gram, jnp.zeros_like(lower), lower, upper)
 
 
@@ -99,9 +107,26 @@ def _sums(model, values, directions, batch, simulate):
 
 
 @eqx.filter_jit
-def _run_starts(model, values, starts, directions, prior, offset, lower, upper, batch):
+def _leftover(model, values, batch, simulate):
+    return leftover(model, values, batch, simulate)
+
+
+@eqx.filter_jit
+def run_starts(
+    model: Model,
+    values: Array,
+    starts: Array,
+    directions: Basis,
+    lower: Array,
+    upper: Array,
+    batch: Batch,
+    simulate: bool,
+) -> Fit:
+    """Fits from several starts [m, k] at once, vmapped; in units of the directions."""
+    none = (jnp.zeros((0, lower.size)), jnp.zeros(0))
+
     def one(start):
-        gram = partial(_gram, model, values, directions, prior, offset, batch, True)
+        gram = partial(_gram, model, values, directions, none, batch, simulate)
         return minimise(gram, start, lower, upper)
 
     return jax.vmap(one)(starts)
@@ -109,21 +134,37 @@ def _run_starts(model, values, starts, directions, prior, offset, lower, upper, 
 
 @dataclass(frozen=True)
 class Problem:
-    """What a fit is given: the model, what is free, the data, the columns' slots."""
+    """What a fit is given: the model, what may be free, and the data.
+
+    `declared` counts the free parameters of the rig file, hydraulic and other.
+
+    `symmetric` holds k_cp and k_cn equal, for logs that do not tell a difference of
+    the two from an offset k_0.
+    """
 
     model: Model
     free: Mapping[str, Free]
     batch: Batch
-    slots: tuple[int, int]
+    declared: tuple[int, int]
     simulate: bool
+    symmetric: bool = False
 
     @classmethod
-    def of(cls, rig: Rig, free: Mapping[str, Free], data: Data, spare=SPARE) -> Problem:
+    def of(cls, rig: Rig, free: Mapping[str, Free], data: Data) -> Problem:
         """The problem of fitting `free` on prepared logs."""
         model = Model.of(rig)
         first = sum(model.names.index(n) < model.hydraulic for n in free)
-        slots = (first + spare[0], len(free) - first + spare[1])
-        return cls(model, free, batch_of(data), slots, data.driven_by == "u")
+        declared = (first, len(free) - first)
+        return cls(model, free, batch_of(data), declared, data.driven_by == "u")
+
+    def slots(self, free: Sequence[str]) -> tuple[int, int]:
+        """Columns, hydraulic and other, of the program that fits these parameters."""
+        need = (len(self.side(free, True)), len(self.side(free, False)))
+        sizes = [
+            (self.declared[0] + a, self.declared[1] + b)
+            for a, b in SPARE[len(self.free) > sum(self.declared) :]
+        ]
+        return next(s for s in sizes if need[0] <= s[0] and need[1] <= s[1])
 
     def solve(
         self,
@@ -138,7 +179,8 @@ class Problem:
         model is fitted by itself.
         """
         free = tuple(self.free if free is None else free)
-        columns = slot_names(self.model, free, self.slots)
+        slots = self.slots(free)
+        columns = slot_names(self.model, free, slots)
         index = np.array([self.model.names.index(n) if n else 0 for n in columns])
         scale = self.model.scale[index]
         at = values[index]
@@ -146,9 +188,6 @@ class Problem:
         given = [self.free[n] if n else spare for n in columns]
         lower = np.array([f.lower for f in given])
         upper = np.array([f.upper for f in given])
-        prior = np.array([scale[i] / f.prior if f.prior else 0.0
-                          for i, f in enumerate(given)])
-        start = np.array([f.start for f in given])
         used = np.array([n is not None for n in columns])
 
         def boxed(bound):
@@ -160,9 +199,8 @@ class Problem:
         out = _run(
             self.model,
             jnp.asarray(values),
-            jax.tree.map(jnp.asarray, basis(self.model, free, self.slots)),
-            jnp.asarray(prior),
-            jnp.asarray(np.where(used, (at - start) / scale, 0.0)),
+            jax.tree.map(jnp.asarray, basis(self.model, free, slots)),
+            self._prior(columns, at, scale),
             boxed(lower),
             boxed(upper),
             batch,
@@ -176,6 +214,23 @@ class Problem:
                 moved[index[i]] = np.clip(at[i] + step[i], lower[i], upper[i])
         return moved, out
 
+    def _prior(self, columns, at, scale) -> tuple[Array, Array]:
+        """Residual rows of what is known beforehand: slope [k+1, k], value [k+1].
+
+        One row per column with a prior, and one that ties k_cp to k_cn.
+        """
+        slope, value = np.zeros((len(columns) + 1, len(columns))), []
+        for i, name in enumerate(columns):
+            known = self.free[name].prior if name else None
+            slope[i, i] = scale[i] / known if known else 0.0
+            value.append((at[i] - self.free[name].start) / known if known else 0.0)
+        pair = [columns.index(n) for n in COULOMB if n in columns]
+        difference = 0.0
+        if self.symmetric and len(pair) == 2:
+            slope[-1, pair] = scale[pair[0]] / TIED, -scale[pair[1]] / TIED
+            difference = (at[pair[0]] - at[pair[1]]) / TIED
+        return jnp.asarray(slope), jnp.asarray([*value, difference])
+
     def sums_at(self, values: np.ndarray, noise: np.ndarray | None = None) -> Sums:
         """The windows' sums at `values`, along every parameter of the model."""
         batch = self.batch
@@ -185,16 +240,20 @@ class Problem:
         every = basis(self.model, self.model.names, (n, len(self.model.names) - n))
         return self._evaluate(values, every, batch)
 
-    def errors_at(self, values: np.ndarray) -> np.ndarray:
-        """Squared residuals by window and channel, [W, 3], SI, nothing else.
+    def residuals_at(self, values: np.ndarray) -> np.ndarray:
+        """Measured minus replayed, [W, T, 3], SI.
 
         The windows' initial pressures are corrected twice: logs that take no part in
         a fit come with a first guess only, too far off for one linear step.
         """
-        none = basis(self.model, (), (0, 0))
-        first = self._evaluate(values, none, self.batch)
-        again = self.restarted(first)
-        return np.asarray(again._evaluate(values, none, again.batch).sse)
+        batch, values = self.batch, jnp.asarray(values)
+        _, error = _leftover(self.model, values, batch, self.simulate)
+        batch = batch._replace(P_0=batch.P_0 - error)
+        return np.asarray(_leftover(self.model, values, batch, self.simulate)[0])
+
+    def errors_at(self, values: np.ndarray) -> np.ndarray:
+        """Squared residuals by window and channel, [W, 3], SI."""
+        return np.sum(self.residuals_at(values) ** 2, axis=1)
 
     def _evaluate(self, values, directions, batch) -> Sums:
         directions = jax.tree.map(jnp.asarray, directions)
@@ -204,9 +263,7 @@ class Problem:
     def restarted(self, at: Sums) -> Problem:
         """The problem with each window's initial pressures moved to their estimate."""
         batch = self.batch
-        return replace(
-            self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :2, -1])
-        )
+        return replace(self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :2, -1]))
 
     def initial_values(self) -> np.ndarray:
         """The rig's values, with every free parameter at its start."""
@@ -224,14 +281,14 @@ class Problem:
     def side(self, names: Sequence[str], hydraulic: bool) -> tuple[str, ...]:
         """Those of the names on which the pressures depend, or the others."""
         n = self.model.hydraulic
-        return tuple(
-            x for x in names if (self.model.names.index(x) < n) == hydraulic
-        )
+        return tuple(x for x in names if (self.model.names.index(x) < n) == hydraulic)
 
     def rms(self, sse: Array | np.ndarray) -> np.ndarray:
         """Root mean square by channel, [3], SI, of squared residuals [W, 3]."""
         ticks = self.batch.windows.measured.shape[1]
-        return np.sqrt(np.sum(np.asarray(sse), axis=0) / (np.sum(self.batch.weight) * ticks))
+        return np.sqrt(
+            np.sum(np.asarray(sse), axis=0) / (np.sum(self.batch.weight) * ticks)
+        )
 
 
 @dataclass(frozen=True)

@@ -194,9 +194,7 @@ def sensitivities(
         dz, dw = (
             sum(s * d[i] for s, d in zip(share, d_state, strict=True)) for i in (0, 1)
         )
-        return jax.jvp(
-            force, (jnp.zeros(k_2), *P, *state), (e, dp_1, dp_2, dz, dw)
-        )
+        return jax.jvp(force, (jnp.zeros(k_2), *P, *state), (e, dp_1, dp_2, dz, dw))
 
     return jax.vmap(column, out_axes=(None, 0))(columns, *d_P)
 
@@ -218,27 +216,46 @@ def sums(
     cross = full[:, own, keep]
     start = jnp.linalg.solve(full[:, own, own] + _OWN_PRIOR, cross)
     gram = full[:, keep[:, None], keep] - jnp.einsum("wia,wib->wab", cross, start)
+    left = _leftover(residual, dy[k:], white, start[:, :, -1])
     weight = batch.weight
     return Sums(
         gram * weight[:, None, None],
         start,
-        _errors(residual, dy[k:], white, start[:, :, -1]) * weight[:, None],
+        jnp.sum(left**2, axis=1) * weight[:, None],
     )
 
 
-def _errors(residual: Array, dy: Array, white: Array, start: Array) -> Array:
-    """Squared residuals by window and channel, [W, 3].
+def _leftover(residual: Array, dy: Array, white: Array, start: Array) -> Array:
+    """Residuals without what each window has of its own, [W, T, 3], SI.
 
-    The force is judged with the initial state that all channels together give;
-    the pressures with those that they give themselves, so that a force which the
-    model cannot follow is not held against them.
+    The force is judged with the initial state that all channels together give; the
+    pressures with those that they give themselves, so that a force which the model
+    cannot follow is not held against them.
     """
     seen = dy * white * jnp.array([1.0, 1.0, 0.0])
     B = jnp.einsum("iwtc,jwtc->wij", seen, seen) + _OWN_PRIOR
     cross = jnp.einsum("iwtc,wtc->wi", seen, residual * white)
     by_themselves = jnp.linalg.solve(B, -cross[..., None])[..., 0]
-    own_left = residual + jnp.einsum("iwtc,wi->wtc", dy, by_themselves)
+    own = residual + jnp.einsum("iwtc,wi->wtc", dy, by_themselves)
     left = residual + jnp.einsum("iwtc,wi->wtc", dy, start)
-    return jnp.concatenate(
-        [jnp.sum(own_left[..., :2] ** 2, 1), jnp.sum(left[..., 2:] ** 2, 1)], axis=-1
-    )
+    return jnp.concatenate([own[..., :2], left[..., 2:]], axis=-1)
+
+
+def leftover(
+    model: Model, values: Array, batch: Batch, simulate: bool
+) -> tuple[Array, Array]:
+    """Measured minus replayed, [W, T, 3], SI, and the initial pressures' error [W, 2].
+
+    Each window's own initial pressures are estimated from it.
+    """
+    n = len(model.names)
+    none = Basis(jnp.zeros((model.hydraulic, 0)), jnp.zeros((n - model.hydraulic, 0)))
+    y, dy = sensitivities(model, values, none, batch, simulate)
+    seen = jnp.isfinite(batch.noise)
+    white = jnp.where(seen, 1 / jnp.where(seen, batch.noise, 1.0), 0.0)
+    residual = jnp.where(seen, batch.windows.measured - y, 0.0)
+    scaled = dy * white
+    B = jnp.einsum("iwtc,jwtc->wij", scaled, scaled) + _OWN_PRIOR
+    cross = jnp.einsum("iwtc,wtc->wi", scaled, -residual * white)
+    start = jnp.linalg.solve(B, cross[..., None])[..., 0]
+    return _leftover(residual, dy, white, start), -start[:, :2]

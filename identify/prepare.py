@@ -10,6 +10,7 @@ from scipy import interpolate, signal
 
 from ..errors import InputError
 from ..replay import Motion, Windows
+from ..rig import bare_rig
 from ..rigfile import RigSpec
 from ..signals import Log
 
@@ -23,6 +24,12 @@ LEAD = 20
 SETTLE = 0.5
 """Seconds at the head of a segment that no window takes: the bristle's start is
 unknown."""
+QUIET = 0.005
+"""Share of the acceleration that may be noise of the position."""
+SLOWEST = 20.0
+"""Hz below which motion is always followed: friction turns round that fast."""
+SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
+"""Supply and return pressure (Pa) where neither log nor rig file has them."""
 QUARTERS = 4
 """Steps of the bristle per tick."""
 
@@ -39,7 +46,9 @@ class Data:
         noise: [3] standard deviation of each channel's noise, SI; inf if not compared.
         supply_noise: standard deviation of the measured P_s, Pa; 0 if not measured.
         driven_by: `u`, or what else drives the replay.
+        band: Hz up to which speed, acceleration and force are taken; inf for all.
         travel: range of x that is compared, m.
+        areas: on which the two pressures push, m^2.
         notes: one-line remarks for the report.
     """
 
@@ -50,7 +59,9 @@ class Data:
     noise: np.ndarray
     supply_noise: float
     driven_by: str
+    band: float
     travel: tuple[float, float]
+    areas: tuple[float, float]
     notes: tuple[str, ...]
 
 
@@ -81,41 +92,48 @@ def _position(log: Log, spec: RigSpec) -> np.ndarray:
 
 
 def motion_band(t: np.ndarray, x: np.ndarray) -> float | None:
-    """Frequency (Hz) above which position is noise, or None if that costs nothing.
+    """Frequency (Hz) up to which acceleration can be had from a position, or None.
 
-    The spectrum of a position falls steeply until it meets the flat floor of its
-    noise; acceleration beyond that point is noise times frequency squared.
+    The spectrum of a position falls until it meets the flat floor of its noise, which
+    acceleration raises with the fourth power of frequency. The band is where noise
+    brings at most `QUIET` of the acceleration that stands clear of it; None if that
+    is all of it.
     """
     h = float(np.median(np.diff(t)))
     even = np.interp(np.arange(t[0], t[-1], h), t, x)
     f, power = signal.welch(even, 1 / h, nperseg=min(2048, even.size), detrend="linear")
-    tail = f > 0.7 * f[-1]
-    floor = np.median(power[tail])
-    smooth = signal.medfilt(power, 5)
-    above = np.nonzero(smooth > 10 * floor)[0]
-    cut = f[above[-1]] if above.size else f[-1]
-    noise_x = np.sqrt(floor * f[-1])
-    speed = np.gradient(even, h)
-    # Speed noise of the raw signal against the speed that matters.
-    if noise_x / h < 0.02 * np.std(speed) or cut > 0.5 * f[-1]:
-        return None
-    return float(cut)
+    floor = np.median(power[f > 0.7 * f[-1]])
+    rise = (2 * np.pi * f) ** 4
+    step = f[1]
+    clear = power > 10 * floor
+    size = np.sum((power * rise)[clear]) * step
+    noise = np.cumsum(floor * rise) * step
+    quiet = np.nonzero(noise <= QUIET**2 * size)[0]
+    cut = float(f[quiet[-1]]) if quiet.size else float(f[1])
+    cut = max(cut, SLOWEST)
+    return None if cut > 0.4 / h else cut
 
 
-def low_pass(t: np.ndarray, y: np.ndarray, cut: float) -> np.ndarray:
-    """Zero-phase low-pass at `cut` Hz on (nearly) even ticks."""
+def smooth(t: np.ndarray, y: np.ndarray, cut: float) -> interpolate.BSpline:
+    """A smoothing spline that passes what is below `cut` Hz; ticks may be uneven.
+
+    Its response is 1/(1 + (f/cut)^4), without phase.
+    """
     h = float(np.median(np.diff(t)))
-    sos = signal.butter(4, min(cut * 2 * h, 0.9), output="sos")
-    return signal.sosfiltfilt(sos, y)
+    return interpolate.make_smoothing_spline(t, y, lam=1 / (h * (2 * np.pi * cut) ** 4))
 
 
 @dataclass(frozen=True)
 class _Segment:
-    """One segment's signals at its ticks, all SI; see `Windows` for the names."""
+    """One segment's signals at its ticks, all SI; see `Windows` for the names.
+
+    `place` gives the position, `rates` its derivatives.
+    """
 
     log: int
     t: np.ndarray
-    spline: interpolate.BSpline
+    place: interpolate.BSpline
+    rates: interpolate.BSpline
     u: np.ndarray
     P_s: np.ndarray
     P_r: np.ndarray
@@ -128,6 +146,8 @@ def prepare(
     spec: RigSpec,
     horizon: float = 0.25,
     noise: np.ndarray | None = None,
+    sign: float = 1.0,
+    band: float | None = None,
 ) -> Data:
     """Make logs ready for a replay of the rig.
 
@@ -136,6 +156,8 @@ def prepare(
         spec: the rig they were recorded on.
         horizon: length of a window, s.
         noise: [3] to be used, or None to take the rig file's or estimate it.
+        sign: -1 turns the motion round.
+        band: Hz up to which speed, acceleration and force are taken; None to find it.
 
     Raises:
         InputError: no motion, nothing to predict, logs that differ in their signals,
@@ -143,20 +165,24 @@ def prepare(
     """
     driven_by = _driver(logs, spec)
     notes = [f"{log.name}: {note}" for log in logs for note in log.notes]
-    segments = []
-    for i, log in enumerate(logs):
-        for start, stop in log.segments:
-            segment, said = _segment(i, log, spec, slice(start, stop), driven_by)
-            segments.append(segment)
-            notes += [f"{log.name}: {s}" for s in said if s not in notes]
+    if band is None:
+        band = common_band(logs, spec, driven_by)
+    if np.isfinite(band):
+        notes.append(
+            f"above {band:.0f} Hz acceleration would be noise of the position: speed, "
+            "acceleration and force are compared below that"
+        )
+    segments = [
+        _segment(i, log, spec, slice(*rows), sign, band)
+        for i, log in enumerate(logs)
+        for rows in log.segments
+    ]
     h = float(np.median(np.concatenate([np.diff(s.t) for s in segments])))
     T = max(int(round(horizon / h)), 8)
     pre, lead = (PRE, LEAD) if driven_by == "u" else (1, min(LEAD, int(0.3 / h)))
     n = max(1, int(np.ceil(h / 1.5e-3))) if driven_by == "u" else 1
     cuts = [
-        (k, first)
-        for k, s in enumerate(segments)
-        for first in _starts(s, T, pre, lead)
+        (k, first) for k, s in enumerate(segments) for first in _starts(s, T, pre, lead)
     ]
     if not cuts:
         raise InputError(
@@ -167,7 +193,7 @@ def prepare(
     windows, P_0 = _windows(segments, cuts, T, pre, lead, n)
     travel = (float(windows.x.min()), float(windows.x.max()))
     if noise is None:
-        noise = _noise(logs, spec, segments, driven_by)
+        noise = _noise(logs, spec, driven_by)
     return Data(
         motion=_motion(segments, h),
         windows=windows,
@@ -176,7 +202,9 @@ def prepare(
         noise=noise,
         supply_noise=_supply_noise(logs, spec),
         driven_by=driven_by,
+        band=band,
         travel=travel,
+        areas=force_areas(spec),
         notes=tuple(dict.fromkeys(notes)),
     )
 
@@ -221,40 +249,80 @@ def _driver(logs: Sequence[Log], spec: RigSpec) -> str:
     return driver
 
 
+def common_band(logs: Sequence[Log], spec: RigSpec, driven_by: str) -> float:
+    """The narrowest of the logs' bands, Hz; inf if none is needed.
+
+    None is where u drives: there displacement must be exact, since a chamber
+    integrates it.
+    """
+    if driven_by == "u":
+        return np.inf
+    bands = [
+        motion_band(log.time[slice(*rows)], _position(log, spec)[slice(*rows)])
+        for log in logs
+        for rows in log.segments
+    ]
+    return min((b for b in bands if b is not None), default=np.inf)
+
+
 def _segment(
-    i: int, log: Log, spec: RigSpec, rows: slice, driven_by: str
-) -> tuple[_Segment, list[str]]:
-    said = []
-    t, x = log.time[rows], _position(log, spec)[rows]
-    n = t.size
+    i: int, log: Log, spec: RigSpec, rows: slice, sign: float, band: float
+) -> _Segment:
+    t, x = log.time[rows], sign * _position(log, spec)[rows]
     get = {k: v[rows] for k, v in log.signals.items()}
-    zero = np.zeros(n)
+    zero = np.zeros(t.size)
     F = get.get("F", zero + spec.load.get("F", np.nan))
     P = np.stack([get.get("P_a1", zero), get.get("P_a2", zero)], axis=1)
-    if driven_by == "P":
+    if "P" in get and "P_a2" not in get:
         P = np.stack([zero, get["P"]], axis=1)
-    cut = motion_band(t, x)
-    if cut is not None:
-        said.append(
-            f"above {cut:.0f} Hz the position is noise: motion"
-            + (", drive and force are" if driven_by != "u" else " is")
-            + " compared below that"
-        )
-        x = low_pass(t, x, cut)
-        if driven_by != "u":
-            P = np.stack([low_pass(t, p, cut) for p in P.T], axis=1)
-            F = low_pass(t, F, cut) if np.ptp(F) > 0 else F
-    segment = _Segment(
+    if np.isfinite(band):
+        # The bristle takes displacement as it is; only what is differentiated needs a
+        # band, and the force that follows it is compared in the same.
+        place, rates = interpolate.make_interp_spline(t, x, k=1), smooth(t, x, band)
+        P = np.stack([smooth(t, p, band)(t) for p in P.T], axis=1)
+        F = smooth(t, F, band)(t) if np.ptp(F) > 0 else F
+    else:
+        place = rates = interpolate.make_interp_spline(t, x, k=5)
+    return _Segment(
         log=i,
         t=t,
-        spline=interpolate.make_interp_spline(t, x, k=5),
+        place=place,
+        rates=rates,
         u=get.get("u", zero),
-        P_s=get["P_s"] if "P_s" in get else zero + spec.supply["P_s"],
-        P_r=get["P_r"] if "P_r" in get else zero + spec.supply["P_r"],
+        P_s=get["P_s"]
+        if "P_s" in get
+        else zero + spec.supply.get("P_s", SUPPLY["P_s"]),
+        P_r=get["P_r"]
+        if "P_r" in get
+        else zero + spec.supply.get("P_r", SUPPLY["P_r"]),
         P=P,
         F=F,
     )
-    return segment, said
+
+
+def runs_backward(data: Data) -> bool:
+    """Whether friction, as logged, drives the motion: x against the rig's sign.
+
+    Where the pressures drive the replay, P - F is larger in positive motion than in
+    negative motion, since friction brakes.
+    """
+    if data.driven_by == "u" or not np.isfinite(data.noise[2]):
+        return False
+    w = data.windows
+    lead = w.x.shape[1] - w.measured.shape[1]
+    v = w.v[:, lead:]
+    areas = np.asarray(data.areas)
+    drive = areas[1] * w.P_a2[:, lead:] - areas[0] * w.P_a1[:, lead:]
+    loss = drive - w.measured[..., 2]
+    fast = np.abs(v) > 0.3 * np.std(v)
+    falls = []
+    for log in np.unique(data.log):
+        own = data.log == log
+        f, up = loss[own][fast[own]], v[own][fast[own]] > 0
+        if up.all() or not up.any():
+            return False
+        falls.append(np.median(f[up]) - np.median(f[~up]))
+    return bool(np.all(np.array(falls) < -5 * data.noise[2]))
 
 
 def _starts(s: _Segment, T: int, pre: int, lead: int) -> range:
@@ -272,7 +340,7 @@ def _motion(segments: list[_Segment], h: float) -> Motion:
     for k, s in enumerate(segments):
         step = np.diff(s.t)
         parts = np.arange(QUARTERS + 1) / QUARTERS
-        x = s.spline(s.t[:-1, None] + step[:, None] * parts)
+        x = s.place(s.t[:-1, None] + step[:, None] * parts)
         dx[k, : step.size] = np.diff(x, axis=1)
         ticks[k, : step.size] = step
         first = np.abs(dx[k, : max(int(0.2 / h), 2)])
@@ -311,10 +379,10 @@ def _windows(
             "P_s": s.P_s[at],
             "P_r": s.P_r[at],
             "t": t - segments[k].t[0],
-            "x": s.spline(t),
-            "v": s.spline(t, 1),
-            "a": s.spline(t, 2),
-            "x_fine": s.spline(fine),
+            "x": s.place(t),
+            "v": s.rates(t, 1),
+            "a": s.rates(t, 2),
+            "x_fine": s.place(fine),
             "P_a1": s.P[at, 0],
             "P_a2": s.P[at, 1],
             "measured": np.column_stack([s.P[at], s.F[at]])[lead:],
@@ -325,9 +393,7 @@ def _windows(
     return windows, np.array(P_0)
 
 
-def _noise(
-    logs: Sequence[Log], spec: RigSpec, segments: list[_Segment], driven_by: str
-) -> np.ndarray:
+def _noise(logs: Sequence[Log], spec: RigSpec, driven_by: str) -> np.ndarray:
     """Noise of each channel, from the rig file or the logs; inf where not compared."""
     out = np.full(3, np.inf)
     for c, name in enumerate(CHANNELS):
@@ -340,7 +406,7 @@ def _noise(
         if name in spec.sensors:
             out[c] = spec.sensors[name]
         else:
-            out[c] = _estimated(logs, spec, segments, name, driven_by)
+            out[c] = _estimated(logs, spec, name, driven_by)
     return out
 
 
@@ -353,20 +419,23 @@ def _supply_noise(logs: Sequence[Log], spec: RigSpec) -> float:
     return float(np.median([estimate_noise(p) for p in moving])) if moving else 0.0
 
 
-def _estimated(logs, spec, segments, name, driven_by) -> float:
-    own = [estimate_noise(log.signals[name]) for log in logs if name in log.signals]
-    level = float(np.median(own)) if own else 0.0
+def force_areas(spec: RigSpec) -> tuple[float, float]:
+    """Areas on which P_a1 and P_a2 push, m^2; see `bare_rig`."""
+    rig = bare_rig(spec.layout, spec.geometry)
+    return float(rig.force_area_1), float(rig.force_area_2)
+
+
+def _estimated(logs, spec, name, driven_by) -> float:
+    """Noise of a channel from the logs; with what the drive brings into a force."""
+    has = logs[0].signals
+
+    def of(signal):
+        return float(np.median([estimate_noise(log.signals[signal]) for log in logs]))
+
+    level = of(name) if name in has else 0.0
     if name == "F" and driven_by != "u":
-        # What drives the replay brings its own noise into the force.
-        areas = {"P": 1.0}
-        if driven_by == "pressures":
-            g = spec.geometry
-            areas = {
-                "P_a1": g.get("area_1", g.get("area", 0.0)),
-                "P_a2": g.get("area_2", g.get("area", 0.0)),
-            }
-        for drive, area in areas.items():
-            if drive in logs[0].signals:
-                each = [estimate_noise(log.signals[drive]) for log in logs]
-                level = float(np.hypot(level, area * np.median(each)))
+        areas = dict(zip(("P_a1", "P_a2"), force_areas(spec), strict=True))
+        for drive, area in {**areas, "P": 1.0}.items():
+            if drive in has and area > 0:
+                level = float(np.hypot(level, area * of(drive)))
     return level

@@ -21,7 +21,7 @@ class Score:
     parameters free to follow; `step`: that step, in units of the columns; `p_value`:
     of the cluster-robust score test, for this candidate alone; `power`: the chance
     that the test would have seen the effect at a size that matters; `shape`: the values
-    of its shape at which it was scored.
+    of its shape at which it was scored; `share`: the gain over all of chi-square.
     """
 
     name: str
@@ -29,6 +29,7 @@ class Score:
     step: np.ndarray
     p_value: float
     power: float
+    share: float
     shape: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -44,6 +45,8 @@ class Projection:
         inverse = np.linalg.pinv(A / np.outer(size, size), rcond=1e-12, hermitian=True)
         self.through = inverse / np.outer(size, size) @ total[fitted]
         self.gram, self.fitted, self.total = gram, list(fitted), total
+        r = total.shape[0] - 1
+        self.left = float(self.curvature([r], [r])[0, 0])
 
     def curvature(self, a: Sequence[int], b: Sequence[int]) -> np.ndarray:
         """Products of the projected columns `a` and `b`."""
@@ -82,7 +85,7 @@ def score(
     H = projection.curvature(columns, columns)
     own = projection.total[columns, columns]
     if np.all(np.diag(H) <= 1e-9 * np.maximum(own, 1e-300)):
-        return Score(name, 0.0, np.zeros(len(columns)), 1.0, 0.0)
+        return Score(name, 0.0, np.zeros(len(columns)), 1.0, 0.0, 0.0)
     H = _solid(H)
     by_window = projection.scores(columns)
     g = by_window.sum(axis=0)
@@ -90,7 +93,9 @@ def score(
     spread = _solid(by_window.T @ by_window)
     chi2 = float(g @ np.linalg.solve(spread, g))
     p = float(stats.chi2.sf(chi2, len(columns)))
-    return Score(name, float(-g @ step), step, p, _power(H, spread, reach, matters, level))
+    gain = float(-g @ step)
+    power = _power(H, spread, reach, matters, level)
+    return Score(name, gain, step, p, power, gain / projection.left)
 
 
 def _power(H, spread, reach, matters, level) -> float:

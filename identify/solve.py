@@ -112,7 +112,7 @@ class Fit(NamedTuple):
 
 
 def minimise(
-    gram, start: Array, lower: Array, upper: Array, steps: int = 40, tol: float = 1e-5
+    gram, start: Array, lower: Array, upper: Array, steps: int = 20, tol: float = 1e-5
 ) -> Fit:
     """Minimise half a sum of squares inside a box.
 
@@ -140,7 +140,7 @@ def minimise(
         factor, solver, start, has_aux=True, max_steps=steps, throw=False
     )
     done = out.result == optx.RESULTS.successful
-    cost = 0.5 * jnp.sum(out.state.f_info.residual ** 2)
+    cost = 0.5 * jnp.sum(out.state.f_info.residual**2)
     return Fit(out.value, cost, out.stats["num_steps"], done, out.aux)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import equinox as eqx
@@ -23,7 +23,7 @@ from .score import Projection, Score, family, score
 
 AT_NOISE = 1.1
 """A channel is at its noise when its error is within this factor of it."""
-SHARE = 0.3
+SHARE = 0.2
 """An effect that leaves a channel above its noise is named only if it took at least
 this share of the channel's excess (in squares): less is bending, not explaining."""
 TRIES = 4
@@ -147,11 +147,13 @@ def _scores(
             if g > 0 and name not in shapes:
                 continue
             columns = [names.index(n) for n in strengths(effect)]
-            reach = np.array([
-                max(abs(s.lower), abs(s.upper)) / s.scale
-                for s in specs(effect).values()
-                if s.strength
-            ])
+            reach = np.array(
+                [
+                    max(abs(s.lower), abs(s.upper)) / s.scale
+                    for s in specs(effect).values()
+                    if s.strength
+                ]
+            )
             s = score(projection, name, columns, reach, matters, state.level)
             if name not in best or s.gain > best[name].gain:
                 best[name] = replace(s, shape=shapes.get(name, {}))
@@ -268,11 +270,6 @@ def _worse(a: np.ndarray, b: np.ndarray, noise: np.ndarray) -> bool:
     seen = np.isfinite(noise)
     d = np.sum((a - b)[:, seen] / noise[seen] ** 2, axis=1)
     return bool(d.mean() > 2.0 * d.std(ddof=1) / np.sqrt(len(d)))
-
-
-def sizes(state: Tracing) -> Sequence[str]:
-    """Statuses of all candidates, by name: what a trace says of each."""
-    return tuple(status(state, n) for n in state.effects)
 
 
 def status(state: Tracing, name: str) -> str:

@@ -1,0 +1,114 @@
+"""What a run found, as plain data: what report.json, report.html and notebooks show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter as found; SI. `std` and `interval` are None where there is none.
+
+    `free` is False for what the rig file holds or leaves at its default.
+    """
+
+    value: float
+    unit: str
+    says: str
+    start: float
+    free: bool
+    std: float | None = None
+    interval: tuple[float, float] | None = None
+    at_bound: bool = False
+    identified: bool = True
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Error of one channel on the validation logs, RMS, SI."""
+
+    unit: str
+    noise: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect that was named; `parameters` by their own names, errors by channel."""
+
+    name: str
+    parameters: dict[str, Parameter]
+    p_value: float
+    before: dict[str, float]
+    after: dict[str, float]
+    cannot_tell_from: tuple[str, ...]
+    betrayed_by: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What became of a candidate; `share` is the part of the fit's chi-square that a
+    linear step along it would remove."""
+
+    name: str
+    status: str
+    p_value: float
+    power: float
+    share: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What stays above the noise: channel, size (SI), what it follows, in words."""
+
+    channel: str
+    excess: float
+    unit: str
+    follows: str
+    says: str
+
+
+@dataclass(frozen=True)
+class Series:
+    """Residuals of one validation log over its windows, for pictures; SI.
+
+    `t` [n] s since the log began, with NaN rows between windows that do not adjoin;
+    `before`, `after` [n] by channel; `signals` [n] by name: the quantities against
+    which a residual may stand out (`v`, `x`, `P_a1 + P_a2`, `u`, ...).
+    """
+
+    log: str
+    t: np.ndarray
+    measured: dict[str, np.ndarray]
+    before: dict[str, np.ndarray]
+    after: dict[str, np.ndarray]
+    signals: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """All that `identify` or `trace` found.
+
+    `verdict` is "nothing missing", "explained" or "unknown"; `sentence` says it.
+    `limits` are sentences on what is at a range's end or not identified.
+    """
+
+    command: str
+    rig: str
+    fit_logs: tuple[str, ...]
+    validate_logs: tuple[str, ...]
+    verdict: str
+    sentence: str
+    parameters: dict[str, Parameter]
+    channels: dict[str, Channel]
+    effects: tuple[Effect, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
+    limits: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
+    series: tuple[Series, ...] = ()

@@ -1,0 +1,325 @@
+"""What a run found as report.json, as figures, and as one self-contained page."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from . import figures
+from .figures import engineering, p_text, raised, words
+from .outcome import Channel, Effect, Outcome, Parameter
+from .trace import AT_NOISE
+
+FORMAT = "hydrojax-report/1"
+PICTURES = ("error", "betrayal", "residual", "ranking", "parameter")
+"""In the order of the page: `<name>_figure` is in `report_<name>.png`."""
+
+
+def json_of(outcome: Outcome) -> dict[str, Any]:
+    """The content of report.json: SI units; null for what is not a finite number."""
+    o = outcome
+    found = {
+        "format": FORMAT,
+        "command": o.command,
+        "rig": o.rig,
+        "logs": {"fit": o.fit_logs, "validate": o.validate_logs},
+        "verdict": o.verdict,
+        "sentence": o.sentence,
+        "parameters": {n: _parameter(p) for n, p in o.parameters.items()},
+        "channels": {n: asdict(c) for n, c in o.channels.items()},
+        "effects": [_effect(e) for e in o.effects],
+        "candidates": [asdict(c) for c in o.candidates],
+        "unexplained": [asdict(u) for u in o.unexplained],
+        "limits": o.limits,
+        "notes": o.notes,
+        "seconds": o.seconds,
+    }
+    return _strict(found)
+
+
+def _parameter(p: Parameter) -> dict[str, Any]:
+    return {
+        "value": p.value,
+        "std": p.std,
+        "unit": p.unit,
+        "interval": p.interval,
+        "start": p.start,
+        "at_bound": p.at_bound,
+        "identified": p.identified,
+        "held": not p.free,
+        "says": p.says,
+    }
+
+
+def _effect(e: Effect) -> dict[str, Any]:
+    own = {n: _parameter(p) for n, p in e.parameters.items()}
+    # Not asdict: it would spell a parameter's fields in another way than the rig's.
+    return {
+        "name": e.name,
+        "parameters": own,
+        "p_value": e.p_value,
+        "before": e.before,
+        "after": e.after,
+        "cannot_tell_from": e.cannot_tell_from,
+        "betrayed_by": e.betrayed_by,
+    }
+
+
+def _strict(value: Any) -> Any:
+    """The same in JSON's own types, without NaN and infinity."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()  # an array's or a NumPy number's own way
+    if isinstance(value, Mapping):
+        return {str(k): _strict(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_strict(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def quantity(
+    value: float, unit: str, std: float | None = None, figures: int = 4
+) -> str:
+    """A number as an engineer writes it: `857.6 ± 1.2 MPa`.
+
+    Two figures of the standard deviation say how many of the value are printed;
+    without one, `figures` are.
+    """
+    if value is None or not math.isfinite(value):
+        return "–"
+    known = std is not None and math.isfinite(std) and std > 0
+    spread = std if known and std is not None else 0.0
+    size = max(abs(value), spread)
+    factor, name = engineering(size, unit)
+    power = 0
+    if size and not 1e-3 <= size / factor < 1e5:
+        power = math.floor(math.log10(size / factor))
+        factor *= 10.0**power
+    last = _last_figure(
+        spread / factor if known else size / factor, 2 if known else figures
+    )
+    number = _fixed(value / factor, last)
+    text = f"{number} ± {_fixed(spread / factor, last)}" if known else _bare(number)
+    if power:
+        text = f"({text})" if known else text
+        text += f" × 10{raised(power)}"
+    return f"{text} {name}".rstrip()
+
+
+def _last_figure(size: float, figures: int) -> int:
+    """Decimals at which `figures` figures of `size` are printed; may be negative."""
+    if size == 0:
+        return 0
+    # By way of text, for what rounding carries over a power of ten.
+    return figures - 1 - int(f"{size:.{figures - 1}e}".split("e")[1])
+
+
+def _fixed(value: float, decimals: int) -> str:
+    text = f"{round(value, decimals):.{max(decimals, 0)}f}"
+    return text.replace("-", "−") if float(text) else text.lstrip("-")
+
+
+def _bare(number: str) -> str:
+    """A decimal without the zeros that say nothing."""
+    return number.rstrip("0").rstrip(".") if "." in number else number
+
+
+def change(p: Parameter) -> str:
+    """How far a parameter moved from its start, in per cent of that."""
+    if not p.start or not math.isfinite(p.value / p.start):
+        return "–"
+    percent = 100 * (p.value - p.start) / abs(p.start)
+    if abs(percent) >= 1000:
+        return f"× {p.value / p.start:.3g}".replace("-", "−")
+    return f"{percent:+.1f} %".replace("-", "−")
+
+
+def remarks(p: Parameter) -> str:
+    """What a reader has to know before using a parameter."""
+    said = []
+    if p.at_bound:
+        said.append("at the end of its range: its interval holds on one side only")
+    if not p.identified:
+        said.append("not identified: these logs do not determine it")
+    return "; ".join(said)
+
+
+def times_noise(value: float, noise: float) -> str:
+    """An error in multiples of the noise."""
+    if not math.isfinite(value) or not 0 < noise < math.inf:
+        return "–"
+    ratio = value / noise
+    return f"{ratio:.2f} × noise" if ratio < 100 else f"{ratio:.0f} × noise"
+
+
+def standing(c: Channel) -> str:
+    """Where a channel's error stands, in words."""
+    if not math.isfinite(c.after) or not 0 < c.noise < math.inf:
+        return "not compared"
+    return "at its noise" if c.after <= AT_NOISE * c.noise else "above its noise"
+
+
+def share(value: float) -> str:
+    """A share of chi-square in per cent."""
+    if not math.isfinite(value):
+        return "–"
+    return f"{100 * value:.2g} %" if value >= 1e-4 else "< 0.01 %"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names of effects as a phrase: `a`, `a or b`, `a, b or c`."""
+    said = [words(n) for n in names]
+    return " or ".join([", ".join(said[:-1]), said[-1]] if len(said) > 1 else said)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure as PNG, with what stands below it and what is read in its place."""
+
+    name: str
+    png: bytes
+    alt: str
+    caption: str
+
+    @property
+    def data(self) -> str:
+        """The address that holds the picture itself."""
+        return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
+
+
+def pictures(outcome: Outcome) -> list[Picture]:
+    """All figures that this outcome has something to show in."""
+    made = []
+    for name in PICTURES:
+        draw: Callable[[Outcome], Any] = getattr(figures, f"{name}_figure")
+        figure = draw(outcome)
+        if figure is not None:
+            alt, caption = _described(name, outcome)
+            made.append(Picture(name, figures.png(figure), alt, caption))
+    return made
+
+
+def _described(name: str, outcome: Outcome) -> tuple[str, str]:
+    """Alternative text and caption of a figure."""
+    return {
+        "error": _error_said,
+        "betrayal": _betrayal_said,
+        "residual": _residual_said,
+        "ranking": _ranking_said,
+        "parameter": _parameter_said,
+    }[name](outcome)
+
+
+def _error_said(outcome: Outcome) -> tuple[str, str]:
+    rows = [
+        f"{n} {times_noise(c.before, c.noise)} to {times_noise(c.after, c.noise)}"
+        for n, c in outcome.channels.items()
+        if standing(c) != "not compared"
+    ]
+    return (
+        f"Error before and after: {', '.join(rows)}.",
+        "RMS error of each channel on the validation logs, before and after, in "
+        f"multiples of its noise. Up to {AT_NOISE:g} a channel is at its noise.",
+    )
+
+
+def _betrayal_said(outcome: Outcome) -> tuple[str, str]:
+    rows = [f"{c} against {s} ({e})" for e, c, s in figures.betrayals(outcome)]
+    return (
+        f"Residual before and after: {', '.join(rows)}.",
+        "Residual against the quantity that betrays each effect, or that the rest "
+        "follows: mean and standard deviation in equal parts of the quantity, with "
+        "some of the samples behind. Where the force is shown, each sense of motion "
+        "has its own mean.",
+    )
+
+
+def _residual_said(outcome: Outcome) -> tuple[str, str]:
+    logs = [s.log for s in outcome.series][: figures.LOGS]
+    rest = len(outcome.series) - len(logs)
+    more = f" {rest} more logs are not drawn." if rest else ""
+    return (
+        f"Residual over time before and after, in {', '.join(logs)}.",
+        "Measured minus replayed over time on validation logs, condensed to the "
+        "smallest and largest value per pixel; broken where the log has gaps or is "
+        f"not compared.{more}",
+    )
+
+
+def _ranking_said(outcome: Outcome) -> tuple[str, str]:
+    first = figures.ranking(outcome)[:3]
+    rows = [f"{words(c.name)} ({c.status})" for c in first]
+    return (
+        f"Candidates by the share they would explain; first are {', '.join(rows)}.",
+        "Candidates by the share of the fit's chi-square that a linear step along each "
+        "would remove. Power is the chance that these logs would have shown the effect "
+        "at a size that matters.",
+    )
+
+
+def _parameter_said(outcome: Outcome) -> tuple[str, str]:
+    every = figures.every_parameter(outcome)
+    poor = [n for n, p in every.items() if p.free and not p.identified]
+    said = f"not identified: {', '.join(poor)}" if poor else "all are identified"
+    return (
+        f"Relative width of each parameter's 95 % interval; {said}.",
+        "Half the width of the 95 % interval of each fitted parameter, relative to its "
+        "value. Diamonds: at the end of the range, or not identified.",
+    )
+
+
+def page(outcome: Outcome, shown: Sequence[Picture]) -> str:
+    """report.html, with its pictures inside."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    help_ = (quantity, change, remarks, times_noise, standing, share, listed)
+    environment.globals.update(
+        {f.__name__: f for f in help_}, words=words, p_text=p_text
+    )
+    return environment.get_template("report.html").render(
+        o=outcome,
+        pictures={p.name: p for p in shown},
+        ranking=figures.ranking(outcome),
+        at_noise=AT_NOISE,
+    )
+
+
+def write_report(outcome: Outcome, folder: Path) -> None:
+    """Write report.json, report.html and the figures into `folder`.
+
+    All is made before the first file appears; a report that stands there is replaced,
+    and files that are not a report's stay.
+    """
+    shown = pictures(outcome)
+    text = json.dumps(json_of(outcome), indent=1, allow_nan=False, ensure_ascii=False)
+    files = {f"report_{p.name}.png": p.png for p in shown}
+    files["report.html"] = page(outcome, shown).encode()
+    files["report.json"] = (text + "\n").encode()
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    beside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+    try:
+        for name, content in files.items():
+            (beside / name).write_bytes(content)
+        folder.mkdir(exist_ok=True)
+        for name in files:
+            os.replace(beside / name, folder / name)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    for name in {f"report_{p}.png" for p in PICTURES} - set(files):
+        (folder / name).unlink(missing_ok=True)

@@ -1,0 +1,269 @@
+"""`identify` and `trace` from files to an `Outcome`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from ..build import load_rig, make_effects, make_rig
+from ..effects import EFFECTS
+from ..errors import InputError
+from ..params import specs
+from ..rigfile import RigSpec
+from ..signals import Log, read_log
+from .fit import (
+    COULOMB,
+    Free,
+    Point,
+    Problem,
+    fit_force,
+    fit_jointly,
+    fit_pressures,
+    free_effect,
+    free_parameters,
+)
+from .outcome import Outcome
+from .prepare import Data, prepare, runs_backward
+from .starts import best_start
+from .summary import summarise
+from .trace import Tracing, judge, trace
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A rig and its logs made ready: those that are fitted, and those that are not.
+
+    Without validation logs the check is on the fitted ones, and `held_out` is False.
+    """
+
+    spec: RigSpec
+    fit: Data
+    check: Data
+    fit_logs: tuple[Log, ...]
+    check_logs: tuple[Log, ...]
+    held_out: bool
+
+
+def open_case(
+    rig: str | Path,
+    logs: Sequence[str | Path],
+    validate: Sequence[str | Path] = (),
+    horizon: float = 0.25,
+) -> Case:
+    """Read a rig file and its logs.
+
+    Raises:
+        InputError: whatever is wrong with them, in one line.
+        RuntimeError: JAX is not in double precision.
+    """
+    if not jax.config.read("jax_enable_x64"):
+        raise RuntimeError(
+            "identification needs double precision: before anything else write "
+            'jax.config.update("jax_enable_x64", True)'
+        )
+    spec = load_rig(rig)
+    if not logs:
+        raise InputError(f"{rig}: no log to fit: name at least one")
+    fitted = tuple(read_log(path, spec.channels) for path in logs)
+    others = tuple(read_log(path, spec.channels) for path in validate)
+    for log in (*fitted, *others):
+        unit = log.units.get("u", spec.command_unit)
+        given = any(n.startswith("c_") for n in spec.parameters)
+        if unit != spec.command_unit and given:
+            raise InputError(
+                f"{log.name}: u is in [{unit}], but the valve constants of {rig} are "
+                f"per [{spec.command_unit}]: bring them to one unit"
+            )
+    data = prepare((*fitted, *others), spec, horizon)
+    sign = 1.0
+    if runs_backward(data):
+        sign = -1.0
+        data = prepare((*fitted, *others), spec, horizon, sign=sign)
+        turned = (
+            "friction as logged drives the motion: the position runs against the "
+            "rig's sign (P pushes toward positive v), so it was turned round; say so "
+            "in the rig file with invert = true under [channels]"
+        )
+        data = replace(data, notes=(turned, *data.notes))
+    fit = prepare(fitted, spec, horizon, data.noise, sign, data.band)
+    check = (
+        prepare(others, spec, horizon, data.noise, sign, data.band) if others else fit
+    )
+    fit = replace(fit, notes=data.notes)
+    return Case(spec, fit, check, fitted, others or fitted, bool(others))
+
+
+def applicable(case: Case) -> tuple[str, ...]:
+    """Names of the effects that could show in these logs at all."""
+    has = set(case.fit_logs[0].signals)
+    can = has & {"P_a1", "P_a2"}
+    if case.fit.driven_by == "u":
+        can.add("u")
+    if np.isfinite(case.fit.noise[2]):
+        can.add("F")
+        if "F" in has:
+            can.add("loadcell")
+    if "radius" in case.spec.geometry:
+        can.add("psi")
+    if case.spec.layout == "single":
+        can -= {"P_a1"}
+    return tuple(n for n, e in EFFECTS.items() if set(e.needs) <= can)
+
+
+def _in_play(problem: Problem, free: dict[str, Free], data: Data) -> tuple[str, ...]:
+    """The free parameters that anything compared depends on."""
+    out = []
+    for name in free:
+        hydraulic = problem.model.names.index(name) < problem.model.hydraulic
+        plays = data.driven_by == "u" if hydraulic else np.isfinite(data.noise[2])
+        if plays or (name.startswith("pressure_sensor") and data.driven_by == "u"):
+            out.append(name)
+    return tuple(out)
+
+
+def _problems(
+    case: Case, candidates: Sequence[str]
+) -> tuple[Problem, Problem, tuple[str, ...], dict]:
+    """Problems on both sets of logs, the free parameters, the candidates' modules."""
+    names = (*case.spec.effects, *candidates)
+    effects = make_effects(names, case.spec, case.fit.travel)
+    rig = make_rig(case.spec, effects)
+    free = free_parameters(case.spec)
+    known = dict(free)
+    for name in candidates:
+        known |= free_effect(name, specs(effects[name]))
+    problem = Problem.of(rig, free, case.fit)
+    check = Problem.of(rig, free, case.check)
+    use = _in_play(problem, free, case.fit)
+    dormant = {n: e for n, e in effects.items() if n in candidates}
+    return replace(problem, free=known), check, use, dormant
+
+
+def _fit_base(
+    problem: Problem, free: tuple[str, ...], starts: int, tell: Tell
+) -> tuple[Problem, np.ndarray, Problem, Point]:
+    """Fit the declared model: where its pressures stood, and where all of it does."""
+    values = problem.initial_values()
+    if starts > 1:
+        tell(f"{starts} starts on every few windows")
+        values = best_start(problem, values, free, starts)
+    tell("fit the declared model")
+    if problem.sees_pressures and problem.side(free, True):
+        problem, values = fit_pressures(problem, values, free)
+    done, point = fit_force(problem, values, free)
+    return problem, values, done, point
+
+
+def identify(case: Case, starts: int = 4, tell: Tell = lambda _: None) -> Outcome:
+    """Fit the declared model, and say how well it does and can be believed."""
+    began = time.perf_counter()
+    problem, check, free, _ = _problems(case, ())
+    if not free:
+        raise InputError(
+            f"{case.spec.path}: nothing to identify: give at least one parameter a "
+            'range, as in beta = { start = "8e8 Pa", range = ["1e8 Pa", "3e9 Pa"] }'
+        )
+    compiled = _Compiling()
+    *_, problem, point = _fit_base(problem, free, starts, tell)
+    state = Tracing(problem, check, {}, free, point, 0.02, 0.01, tell)
+    return _outcome("identify", case, state, point, began, compiled, tell)
+
+
+def trace_case(
+    case: Case,
+    starts: int = 1,
+    matters: float = 0.02,
+    level: float = 0.01,
+    tell: Tell = lambda _: None,
+) -> Outcome:
+    """The whole loop: fit, residual, the effect behind it, refit, before and after."""
+    began = time.perf_counter()
+    names = [n for n in applicable(case) if n not in case.spec.effects]
+    problem, check, free, effects = _problems(case, names)
+    compiled = _Compiling()
+    values = problem.initial_values()
+    with ThreadPoolExecutor(2) as pool:
+        # What the trace will need is compiled while the first fit runs.
+        ahead = [
+            pool.submit(check.errors_at, values),
+            pool.submit(problem.sums_at, values),
+        ]
+        early, values, done, point = _fit_base(problem, free, starts, tell)
+        for job in ahead:
+            job.result()
+    start = Tracing(
+        early, check, effects, free, replace(point, values=values), matters, level, tell
+    )
+    state = trace(start)
+    return _outcome("trace", case, state, point, began, compiled, tell)
+
+
+class _Compiling:
+    """Seconds in which something was being compiled, as JAX's own events say.
+
+    Programs are compiled side by side, so it is the time covered that counts.
+    """
+
+    EVENT = "/jax/core/compile/backend_compile_duration"
+
+    def __init__(self):
+        self.spans: list[tuple[float, float]] = []
+        jax.monitoring.register_event_duration_secs_listener(self._heard)
+
+    def _heard(self, event: str, duration: float, **_: str | int) -> None:
+        if event == self.EVENT:
+            now = time.perf_counter()
+            self.spans.append((now - duration, now))
+
+    @property
+    def seconds(self) -> float:
+        total, until = 0.0, -np.inf
+        for start, end in sorted(self.spans):
+            total += max(0.0, end - max(start, until))
+            until = max(until, end)
+        return total
+
+
+def _settled(state: Tracing) -> tuple[Tracing, tuple[str, ...]]:
+    """The final fit, symmetric in Coulomb friction unless the check tells otherwise.
+
+    In sliding only `k_cp + k_0` and `k_cn - k_0` act: the three differ in the bristle's
+    turning alone, which a log may not resolve. Of two descriptions that do as well on
+    the check, the simpler one is taken.
+    """
+    noise = state.noise
+    if not {*COULOMB, "k_0"} <= set(state.free) or not np.isfinite(noise[2]):
+        return state, ()
+    problem, point = fit_jointly(
+        replace(state.problem, symmetric=True),
+        state.point.values,
+        state.free,
+        state.point.weights,
+    )
+    own, tied = (state.check.errors_at(p.values) for p in (state.point, point))
+    size = np.maximum(noise, state.check.rms(own))
+    if judge(state, tied, own, size) == "helps":
+        return state, ()
+    said = (
+        "k_cp, k_cn and k_0: these logs tell only k_cp + k_0 and k_cn - k_0; k_cp and "
+        "k_cn were taken as equal"
+    )
+    return replace(state, problem=problem, point=point), (said,)
+
+
+def _outcome(command, case, state, base, began, compiled, tell) -> Outcome:
+    tell("errors, intervals and what is left")
+    state, said = _settled(state)
+    outcome = summarise(command, case, state, base)
+    outcome = replace(outcome, limits=(*said, *outcome.limits))
+    total = time.perf_counter() - began
+    seconds = {"compile": compiled.seconds, "run": total - compiled.seconds}
+    return replace(outcome, seconds=seconds)

@@ -1,0 +1,161 @@
+"""A reference rig, and short synthetic logs with motion known in closed form."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import pytest
+
+from hydrojax.replay import Motion, Windows
+from hydrojax.rig import Rig, bare_rig, put
+
+jax.config.update("jax_enable_x64", True)
+
+GEOMETRY = {"area": 1.18e-3, "chamber_length": 0.2}
+
+REFERENCE = {
+    "c_p1": 2.24e-9,
+    "c_n1": 2.15e-9,
+    "c_p2": 2.27e-9,
+    "c_n2": 2.11e-9,
+    "beta": 8.5e8,
+    "delta_1": 12e-3,
+    "delta_2": 18e-3,
+    "k_cp": 900.0,
+    "k_cn": 1200.0,
+    "k_0": 100.0,
+    "k_vp": 3e3,
+    "k_vn": -2e3,
+    "k_fp": 0.7,
+    "k_fn": 0.6,
+    "z_ss": 60e-6,
+    "delta": 1 / 900,
+    "L_slope": 300.0,
+    "L_rate": 10.0,
+}
+"""The rig whose constants agree with all that the paper prints; SI."""
+
+
+class Wave(NamedTuple):
+    """A mean and a sum of sines, with any derivative."""
+
+    mean: float
+    size: np.ndarray
+    omega: np.ndarray
+    phase: np.ndarray
+
+    def __call__(self, t, order: int = 0) -> np.ndarray:
+        angle = np.multiply.outer(t, self.omega) + self.phase + order * np.pi / 2
+        mean = self.mean if order == 0 else 0.0
+        return mean + (self.size * self.omega**order * np.sin(angle)).sum(-1)
+
+
+class Drive(NamedTuple):
+    """What drives a replay, and the closed form of it: `waves[segment][name](t)`."""
+
+    motion: Motion
+    windows: Windows
+    P_0: np.ndarray
+    waves: list[dict[str, Wave]]
+
+
+LEAD, SCORED, PRE, TICKS = 20, 40, 15, 130
+CUT = ((0, 10), (0, 65), (1, 30))
+"""The windows: segment and first tick of each."""
+
+
+def draw_waves(rng: np.random.Generator) -> dict[str, Wave]:
+    """Signals of one segment; speed, command and bristle cross zero many times."""
+
+    def wave(mean, sizes, hertz):
+        omega = 2 * np.pi * np.asarray(hertz) * rng.uniform(0.9, 1.1, len(hertz))
+        return Wave(mean, np.asarray(sizes), omega, rng.uniform(0, 2 * np.pi, 2))
+
+    return {
+        "x": wave(2e-3, [2.5e-4, 0.6e-4], [11.0, 23.0]),
+        "u": wave(0.02, [0.5, 0.3], [17.0, 41.0]),
+        "P_s": wave(14e6, [2e5, 1e5], [7.0, 19.0]),
+        "P_r": wave(0.25e6, [1e4, 1e4], [5.0, 13.0]),
+    }
+
+
+def make_drive(substeps: int = 1, jitter: float = 0.0, seed: int = 0) -> Drive:
+    """Three windows of 20 + 40 ticks of 1 ms, cut from two segments of 130 ticks.
+
+    `jitter` is the relative unevenness of the ticks.
+    """
+    rng = np.random.default_rng(seed)
+    waves = [draw_waves(rng) for _ in range(2)]
+    # Ticks of each segment, `PRE` of them ahead of its start.
+    h = 1e-3 * (1 + jitter * rng.uniform(-1, 1, (2, PRE + TICKS)))
+    t = 4.0 + np.cumsum(h, axis=1)
+
+    def within(s: int, ticks: slice, points: int) -> np.ndarray:
+        """Position at `points` even steps of each of these ticks, both ends too."""
+        share = np.arange(points + 1) / points
+        start, end = t[s, ticks], t[s, ticks.start + 1 : ticks.stop + 1]
+        return waves[s]["x"](start[:, None] + share * (end - start)[:, None])
+
+    whole = slice(PRE, PRE + TICKS - 1)
+    motion = Motion(
+        dx=np.stack([np.diff(within(s, whole, 4), axis=1) for s in range(2)]),
+        h=np.diff(t, axis=1)[:, whole],
+        speed0=np.array([2e-3, 5e-3]),
+    )
+
+    n = LEAD + SCORED
+    cuts = [(s, slice(PRE + i, PRE + i + n)) for s, i in CUT]
+
+    def signal(name: str, order: int = 0) -> np.ndarray:
+        return np.stack([waves[s][name](t[s, at], order) for s, at in cuts])
+
+    def ahead(s: int, at: slice) -> slice:
+        return slice(at.start - PRE, at.start)
+
+    gaps = np.diff(t, axis=1, append=t[:, -1:] + 1e-3)
+    windows = Windows(
+        seg=np.array([s for s, _ in CUT]),
+        first=np.array([i for _, i in CUT]),
+        before=np.stack([waves[s]["u"](t[s, ahead(s, at)]) for s, at in cuts]),
+        before_h=np.stack([gaps[s, ahead(s, at)] for s, at in cuts]),
+        u=signal("u"),
+        h=np.stack([gaps[s, at] for s, at in cuts]),
+        P_s=signal("P_s"),
+        P_r=signal("P_r"),
+        t=np.stack([t[s, at] for s, at in cuts]),
+        x=signal("x"),
+        v=signal("x", 1),
+        a=signal("x", 2),
+        x_fine=np.stack(
+            [within(s, slice(at.start, at.stop - 1), 2 * substeps) for s, at in cuts]
+        ),
+        P_a1=rng.uniform(5e6, 7e6, (len(cuts), n)),
+        P_a2=rng.uniform(5e6, 7e6, (len(cuts), n)),
+        measured=np.zeros((len(cuts), SCORED, 3)),
+    )
+    P_0 = rng.uniform(6e6, 8e6, (len(cuts), 2))
+    return Drive(motion, windows, P_0, waves)
+
+
+def set_reference(rig: Rig) -> Rig:
+    """The rig at the reference parameters."""
+    return put(rig, list(REFERENCE), np.array(list(REFERENCE.values())))
+
+
+@pytest.fixture(scope="session")
+def rig() -> Rig:
+    """The reference rig: pull-pull, without effects."""
+    return set_reference(bare_rig("pull-pull", GEOMETRY))
+
+
+@pytest.fixture(scope="session")
+def reference() -> Callable[[Rig], Rig]:
+    """What puts the reference parameters into a rig of any layout."""
+    return set_reference
+
+
+@pytest.fixture(scope="session")
+def drive() -> Callable[..., Drive]:
+    """What makes a synthetic log; see `make_drive`."""
+    return make_drive

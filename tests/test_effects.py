@@ -1,0 +1,430 @@
+"""One test over all effects: absent at zero, alive there, declared in full."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pint
+import pytest
+from hydrojax.identify.misfit import (
+    NUISANCE,
+    SUPPLY_BLOCKS,
+    Batch,
+    Model,
+    basis,
+    predict,
+    sensitivities,
+)
+from scipy.optimize import brentq
+
+from hydrojax.effects import EFFECTS
+from hydrojax.friction import Sliding
+from hydrojax.hydraulics import Point
+from hydrojax.params import specs
+from hydrojax.replay import friction_memory, pressures, readings
+from hydrojax.rig import PLACES, add, get, parameter_specs, put
+
+SHAPES = {
+    "gravity_load": {"radius": 0.085},
+    "position_friction": {"x_from": 1.7e-3, "x_to": 2.3e-3},
+}
+"""What an effect takes from the rig and the logs: here, of the synthetic ones."""
+
+ALL = (0, 1, 2)
+REACH = {
+    "command": ALL,
+    "supply": ALL,
+    "flow": ALL,
+    "compliance": ALL,
+    "level": (2,),
+    "friction": (2,),
+    "force": (2,),
+    "sensor_P": (0, 1),
+    "sensor_F": (2,),
+}
+"""Which of P_a1, P_a2, F an effect at each place can move in a replay."""
+
+NOISE = np.array([9e3, 9e3, 2.5])
+
+STRENGTHS = [
+    (name, field)
+    for name, effect in EFFECTS.items()
+    for field, spec in specs(effect).items()
+    if spec.strength
+]
+
+
+def make(name):
+    return EFFECTS[name](**SHAPES.get(name, {}))
+
+
+class Replay:
+    """The replay and its derivative to some parameters, compiled once and counted."""
+
+    def __init__(self, drive, names=()):
+        self.names, self.traces = list(names), 0
+        motion, w, P_0 = jax.tree.map(jnp.asarray, drive[:3])
+
+        def replay(rig):
+            P = pressures(rig, w, P_0)
+            return readings(rig, w, *P, *friction_memory(rig, motion))
+
+        def both(rig, along):
+            self.traces += 1
+            if not self.names:
+                return replay(rig), None
+            here = get(rig, self.names)
+            return jax.jvp(lambda p: replay(put(rig, self.names, p)), (here,), (along,))
+
+        self._both = jax.jit(both)
+
+    def __call__(self, rig, name=None):
+        """Readings [W, T, 3] and their derivative to the named parameter."""
+        return self._both(rig, np.array([float(n == name) for n in self.names]))
+
+
+@pytest.fixture(scope="module")
+def log(drive):
+    return drive()
+
+
+@pytest.fixture(scope="module")
+def without(rig, log):
+    return np.asarray(Replay(log)(rig)[0])
+
+
+@pytest.fixture(scope="module")
+def replays(log):
+    """One compiled replay per effect, shared by the tests below."""
+
+    @functools.cache
+    def of(name):
+        return Replay(log, [f"{name}.{field}" for field in specs(EFFECTS[name])])
+
+    return of
+
+
+def test_the_synthetic_log_wakes_every_mechanism(rig, log, without):
+    """What the tests below rest on: both ways of everything, and mixed friction."""
+    w = log.windows
+    z, speed = map(np.asarray, jax.jit(friction_memory)(rig, log.motion))
+    switch = np.asarray(rig.mechanics.switch(speed))
+    for signal in (w.u, w.v, z, without[..., 2]):
+        assert signal.min() < 0 < signal.max()
+    assert switch.min() < 0.3 and switch.max() > 0.7
+    assert without[..., :2].min() > 1e6 and without[..., :2].max() < 13e6
+
+
+# -- absent, alive, and nothing compiled twice --
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_dormant_effect_is_absent(rig, without, replays, name):
+    assert np.allclose(
+        replays(name)(add(rig, [make(name)]))[0], without, rtol=1e-12, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(("name", "field"), STRENGTHS)
+def test_dormant_effect_is_alive(rig, without, replays, name, field):
+    """The derivative at zero is the one-sided difference, and is not zero."""
+    rig, replay = add(rig, [make(name)]), replays(name)
+    strength = f"{name}.{field}"
+    spec = parameter_specs(rig)[strength]
+    got = np.asarray(replay(rig, strength)[1]) * spec.scale / NOISE
+
+    def difference(step):
+        at = put(rig, [strength], [spec.default + step * spec.scale])
+        return (replay(at)[0] - without) / step / NOISE
+
+    want = 2 * difference(5e-4) - difference(1e-3)  # free of the first-order error
+    reach = REACH[EFFECTS[name].place]
+    for channel in ALL:
+        if channel in reach:
+            size = np.linalg.norm(want[..., channel])
+            assert np.linalg.norm(got[..., channel]) > 1e-3
+            assert np.linalg.norm((got - want)[..., channel]) < 1e-3 * size
+        else:
+            assert not np.any(got[..., channel])
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_new_value_compiles_nothing(rig, replays, name):
+    """A default, a Python float, an integer, NumPy's and JAX's: one program."""
+    replay, dormant = replays(name), add(rig, [make(name)])
+    replay(dormant)
+    before = replay.traces
+    fields = {
+        field: 0.5 * spec.scale if spec.strength else spec.default
+        for field, spec in specs(EFFECTS[name]).items()
+    }
+    names, values = [f"{name}.{f}" for f in fields], list(fields.values())
+    for new in (values, np.array(values), jnp.array(values), [0] * len(values)):
+        replay(put(dormant, names, new))
+    replay(add(rig, [EFFECTS[name](**SHAPES.get(name, {}), **fields)]))
+    assert before == replay.traces == 1
+
+
+# -- what each effect is, in plain NumPy --
+
+AT = Point(*map(np.float64, (5e6, 6.5e6, 14e6, 0.25e6, 0.4, 0.1, 0.02, 0.01)))
+SLIDING = Sliding(
+    t=np.float64(7.0),
+    x=np.float64(0.02),
+    v=np.float64(0.004),
+    a=np.float64(0.6),
+    z=np.float64(5e-5),
+    z_rate=np.float64(-0.002),
+    speed=np.float64(0.003),
+    P_a1=np.float64(5e6),
+    P_a2=np.float64(6.5e6),
+    P_s=np.float64(14e6),
+)
+
+
+def test_leakages_are_laminar():
+    got = EFFECTS["internal_leakage"](c_il=3e-13).flow(AT)
+    assert np.allclose(got, (4.5e-7, -4.5e-7), rtol=1e-12)  # from high to low
+    got = EFFECTS["external_leakage"](c_el=2e-13).flow(AT)
+    assert np.allclose(got, (-2e-13 * 4.75e6, -2e-13 * 6.25e6), rtol=1e-12)
+
+
+def test_supply_line_drop_is_the_root_of_its_equation():
+    """The flow through edge and line in series, found by bracketing."""
+    k_s, edge, available = 5e14, 3e-9, 9e6
+    q = brentq(
+        lambda q: q - edge * np.sqrt(available - k_s * q**2), 0, 1e-4, xtol=1e-20
+    )
+    drop = EFFECTS["supply_line_drop"](k_s=k_s).drop(edge, available)
+    assert drop == pytest.approx(k_s * q**2, rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [1.0, 1.4])
+def test_entrained_air_is_a_polytropic_gas(n):
+    """Compliance is the rate at which the free gas shrinks, `-dV/dp` per volume."""
+    alpha, P, atm = 5e-3, 3e6, 101325.0
+    step = 1.0
+
+    def gas(P):
+        return alpha * (atm / (P + atm)) ** (1 / n)
+
+    want = -(gas(P + step) - gas(P - step)) / (2 * step)
+    got = EFFECTS["entrained_air"](alpha=alpha, n=n).compliance(P)
+    assert got == pytest.approx(want, rel=1e-8)
+
+
+def position_wave(x, s, c, waves):
+    angle = 2 * np.pi * waves * (x - 0.01) / 0.06
+    return sum(
+        a * np.sin((i + 1) * angle) + b * np.cos((i + 1) * angle)
+        for i, (a, b) in enumerate(zip(s, c, strict=True))
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "want"),
+    [
+        ("stribeck", {"k_st": 80.0, "v_s": 3e-3}, 80 * np.exp(-((4 / 3) ** 2))),
+        ("pressure_friction", {"a": 0.2}, 500 * 0.2 * 11.5 / 28),
+        ("friction_drift", {"a": 0.3, "tau": 5.0}, 150 * (np.exp(-7 / 5) - 1)),
+        (
+            "position_friction",
+            {
+                "x_from": -0.02,
+                "x_to": 0.04,
+                "waves": 1.3,
+                **dict(zip(("s_1", "s_2", "s_3"), (0.1, -0.2, 0.3), strict=True)),
+                **dict(zip(("c_1", "c_2", "c_3"), (-0.05, 0.15, 0.25), strict=True)),
+            },
+            500 * position_wave(0.02, (0.1, -0.2, 0.3), (-0.05, 0.15, 0.25), 1.3),
+        ),
+    ],
+)
+def test_level_effect_is_its_formula(name, fields, want):
+    got = EFFECTS[name](**fields).level(SLIDING, np.float64(500.0))
+    assert got == pytest.approx(want, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "want"),
+    [
+        ("viscous_friction", {"b": 400.0}, 1.6),
+        ("bristle_damping", {"sigma_1": 5e3}, -10.0),
+        ("payload_inertia", {"m": 8.0}, -4.8),
+        (
+            "gravity_load",
+            {
+                "w_s": 90 * np.cos(0.4),
+                "w_c": 90 * np.sin(0.4),
+                "radius": 0.085,
+            },
+            90 * np.sin(0.02 / 0.085 + 0.4),
+        ),
+    ],
+)
+def test_force_effect_is_its_formula(name, fields, want):
+    assert EFFECTS[name](**fields).force(SLIDING) == pytest.approx(want, rel=1e-12)
+
+
+# -- what is declared --
+
+
+@pytest.fixture(scope="module")
+def declared(rig):
+    return parameter_specs(add(rig, map(make, EFFECTS)))
+
+
+@pytest.fixture(scope="module")
+def units():
+    return pint.UnitRegistry()
+
+
+def test_every_parameter_is_declared_in_full(declared, units):
+    for name, spec in declared.items():
+        units.parse_units(spec.unit.replace("{u}", "V"))
+        if spec.outside:
+            inverse = 1 / units.Quantity(1, spec.outside[1])
+            assert inverse.check(units.Quantity(1, spec.unit).dimensionality), name
+        assert np.isfinite([spec.lower, spec.upper]).all(), name
+        assert spec.lower < spec.upper, name
+        assert spec.lower <= spec.default <= spec.upper, name
+        assert all(spec.lower <= value <= spec.upper for value in spec.grid), name
+        assert spec.scale > 0, name
+        assert spec.prior is None or spec.prior > 0, name
+        assert spec.says.strip(), name
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_has_its_place_and_a_zero(name):
+    effect, spec = EFFECTS[name], specs(EFFECTS[name])
+    assert effect.name == name
+    assert effect.place in PLACES
+    assert effect.needs and effect.betrayed_by
+    strengths = [s for s in spec.values() if s.strength]
+    assert strengths and all(s.default == 0 for s in strengths)
+    held = make(name)
+    for field, s in spec.items():
+        assert getattr(held, field) == s.default
+        assert getattr(held, field).dtype == jnp.float64
+
+
+def test_parameters_are_got_and_put_by_name(rig, declared):
+    full = add(rig, map(make, EFFECTS))
+    names = list(declared)
+    rng = np.random.default_rng(0)
+    values = rng.uniform(size=len(names))
+    assert np.array_equal(get(put(full, names, values), names), values)
+    some = [names[i] for i in rng.permutation(len(names))[:7]]
+    changed = put(full, some, np.arange(7.0))
+    assert np.array_equal(get(changed, some), np.arange(7.0))
+    rest = [n for n in names if n not in some]
+    assert np.array_equal(get(changed, rest), get(full, rest))
+    with pytest.raises(KeyError):
+        put(full, ["no_such.thing"], [1.0])
+
+
+# -- every derivative of the full rig --
+
+
+@pytest.fixture(scope="module")
+def full(rig):
+    """Every effect at once, at a random strength of a typical size."""
+    rng = np.random.default_rng(4)
+    rig = add(rig, map(make, EFFECTS))
+    new = {
+        name: spec.default + spec.scale * rng.uniform(0.3, 1.0)
+        for name, spec in parameter_specs(rig).items()
+        if spec.strength
+    }
+    return put(rig, list(new), list(new.values()))
+
+
+@pytest.fixture(scope="module")
+def batch(log):
+    motion, windows, P_0 = jax.tree.map(jnp.asarray, log[:3])
+    ones = jnp.ones(len(P_0))
+    return Batch(motion, windows, P_0, jnp.asarray(NOISE), jnp.asarray(9e3), ones)
+
+
+@pytest.fixture(scope="module")
+def columns(full, batch):
+    """Predictions, and their derivative to every parameter and nuisance."""
+    model = Model.of(full)
+    slots = (model.hydraulic, len(model.names) - model.hydraulic)
+    directions = basis(model, model.names, slots)
+    run = jax.jit(lambda values, b: sensitivities(model, values, directions, b, True))
+    return model, *(np.asarray(out) for out in run(model.values, batch))
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return jax.jit(lambda rig, b: predict(rig, b, True))
+
+
+def off(got, want):
+    """Relative error of a column, in units of each channel's noise."""
+    assert np.any(want)
+    return np.linalg.norm((got - want) / NOISE) / np.linalg.norm(want / NOISE)
+
+
+def test_sensitivities_come_with_the_prediction(full, batch, columns, plain):
+    assert np.allclose(columns[1], plain(full, batch), rtol=1e-12)
+
+
+def test_every_parameter_has_its_derivative(full, batch, columns, plain):
+    model, _, dy = columns
+    spec = parameter_specs(full)
+    assert len(dy) == len(model.names) + NUISANCE
+    wrong = {}
+    for i, name in enumerate(model.names):
+        step = 1e-5 * spec[name].scale
+        at = get(full, [name])[0]
+        ahead, back = (plain(put(full, [name], [at + d]), batch) for d in (step, -step))
+        want = np.asarray(ahead - back) / 2e-5
+        if not (error := off(dy[i], want)) < 1e-4:
+            wrong[name] = error
+    assert not wrong
+
+
+def test_initial_pressures_have_their_derivative(full, batch, columns, plain):
+    model, _, dy = columns
+    for i in range(2):
+        shift = 10.0 * np.eye(2)[i]
+        ahead, back = (
+            plain(full, batch._replace(P_0=batch.P_0 + d)) for d in (shift, -shift)
+        )
+        got = dy[len(model.names) + i]
+        assert off(got, np.asarray(ahead - back) / 20.0) < 1e-4
+
+
+def test_supply_errors_have_their_derivative(full, batch, columns):
+    """One standard deviation of each block's mean, as the pressures see it."""
+    model, _, dy = columns
+    w = batch.windows
+    run = jax.jit(
+        lambda P_s: readings(
+            full,
+            w,
+            *pressures(full, w._replace(P_s=P_s), batch.P_0),
+            *friction_memory(full, batch.motion),
+        )
+    )
+    ticks = w.P_s.shape[1]
+    blocks = np.array_split(np.arange(ticks), SUPPLY_BLOCKS)
+    for i, block in enumerate(blocks):
+        shift = np.zeros(ticks)
+        shift[block] = 100.0
+        want = np.asarray(run(w.P_s + shift) - run(w.P_s - shift)) / 200.0
+        got = dy[len(model.names) + 2 + i]
+        assert off(got, want * 9e3 / np.sqrt(len(block))) < 1e-4
+
+
+def test_driven_by_logged_pressures_only_friction_has_derivatives(full, batch):
+    model = Model.of(full)
+    slots = (model.hydraulic, len(model.names) - model.hydraulic)
+    directions = basis(model, model.names, slots)
+    run = jax.jit(lambda values, b: sensitivities(model, values, directions, b, False))
+    dy = np.asarray(run(model.values, batch)[1])
+    assert not np.any(dy[: model.hydraulic]) and not np.any(dy[len(model.names) :])
+    assert all(np.any(column) for column in dy[model.hydraulic : len(model.names)])
