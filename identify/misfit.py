@@ -258,4 +258,4 @@ def leftover(
     B = jnp.einsum("iwtc,jwtc->wij", scaled, scaled) + _OWN_PRIOR
     cross = jnp.einsum("iwtc,wtc->wi", scaled, -residual * white)
     start = jnp.linalg.solve(B, cross[..., None])[..., 0]
-    return _leftover(residual, dy, white, start), -start[:, :2]
+    return _leftover(residual, dy, white, start), start[:, :2]

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from hydrojax.friction import Friction, Sliding, run_linear
 
@@ -210,7 +210,7 @@ def paper_output(P, f_c, L, delta=1 / 900):
         return F + L * k * F / (1 + delta * abs(F)) - (P - (1 - L) * f_c)
 
     far = abs(P) + abs(f_c) + 1.0
-    return brentq(gap, -far, far, xtol=1e-13, rtol=1e-14)
+    return root_scalar(gap, bracket=(-far, far), xtol=1e-13, rtol=1e-14).root
 
 
 @pytest.mark.parametrize("L", [0.0, 1e-6, 0.3, 0.9, 1.0])

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from hydrojax.effects import EFFECTS
 from hydrojax.replay import friction_memory, pressures, readings
@@ -205,16 +205,17 @@ def output_force(P, f_c, L, k_fp=0.7, k_fn=0.6, delta=1 / 900):
         k = k_fp if F > 0 else k_fn
         return F + L * k * F / (1 + delta * abs(F)) - (P - (1 - L) * f_c)
 
-    return brentq(gap, -1e6, 1e6, xtol=1e-10)
+    return root_scalar(gap, bracket=(-1e6, 1e6), xtol=1e-10).root
 
 
 def forces(rig, log, drive_force):
     """F at the scored ticks by (1)-(7), (16), (22); the drive force from the log."""
     motion, w, _ = arrays(log)
     z, speed = map(np.asarray, jax.jit(friction_memory)(rig, motion))
-    out = np.zeros(log.windows.measured.shape[:2])
-    lead = log.windows.x.shape[1] - out.shape[1]
-    for i, k in np.ndindex(*out.shape):
+    windows, ticks, _ = log.windows.measured.shape
+    out = np.zeros((windows, ticks))
+    lead = log.windows.x.shape[1] - ticks
+    for i, k in np.ndindex(windows, ticks):
         at = (log.windows.seg[i], log.windows.first[i] + lead + k)
         v, bristle = log.windows.v[i, lead + k], np.clip(z[at] / 60e-6, -1, 1)
         level = 900.0 if bristle > 0 else 1200.0
