@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from .effects import EFFECTS
-from .hydraulics import Lands
-from .params import Spec, specs
-from .rig import Rig, add, bare_rig, get, parameter_specs, put
+from .friction import Friction
+from .hydraulics import Chambers, Lands
+from .params import Effect, Spec, specs
+from .rig import Rig, add, bare_rig, get, put
 from .rigfile import RigSpec, read_rig
 
 LANDS = tuple(specs(Lands))
-BASE: Mapping[str, Spec] = parameter_specs(bare_rig("driven-axis"))
+"""The valve constants' names."""
+
+BASE: Mapping[str, Spec] = {**specs(Lands), **specs(Chambers), **specs(Friction)}
 """The base model's parameters, by name."""
 
 
@@ -26,7 +28,7 @@ def load_rig(path: str | Path) -> RigSpec:
 
 def make_effects(
     names: Iterable[str], spec: RigSpec, travel: tuple[float, float]
-) -> dict[str, eqx.Module]:
+) -> dict[str, Effect]:
     """The named effects, absent, in the order of the vocabulary.
 
     `travel` (m) is the range of x in the logs, over which a profile is laid.
@@ -49,7 +51,7 @@ def make_effects(
     return out
 
 
-def make_rig(spec: RigSpec, effects: Mapping[str, eqx.Module]) -> Rig:
+def make_rig(spec: RigSpec, effects: Mapping[str, Effect]) -> Rig:
     """The rig of a file at its start values, with effects added dormant.
 
     Effects that the file declares must be among `effects`.

@@ -8,28 +8,26 @@ its value at the end of the tick, taken as linear in between.
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .params import param
+from .params import Effect, param
 
 QUEUE = 48
 """Steps of command that a delay can reach back: 11 ms on a log at 1 kHz, whose ticks
 are run in four parts."""
 
 
-class CommandChannel(eqx.Module):
+class CommandChannel(Effect):
     """A channel on the valve command: `init(u) -> memory`, `step(memory, u, h)`."""
 
-    name: ClassVar[str]
-    place: ClassVar[str] = "command"
-    needs: ClassVar[tuple[str, ...]] = ("u",)
-    betrayed_by: ClassVar[str] = "u"
+    place = "command"
+    needs = ("u",)
+    betrayed_by = "u"
 
-    def init(self, u: Array):
+    def init(self, u: Array) -> Any:
         """Memory at rest under the command `u`."""
         return ()
 
@@ -52,7 +50,8 @@ class ValveDelay(CommandChannel):
 
     def step(self, memory, u, h):
         memory = jnp.concatenate([u[..., None], memory[..., :-1]], axis=-1)
-        ticks = jnp.broadcast_to(self.tau_u / h, u.shape)
+        # No further back than the queue: a longer delay reads its oldest command.
+        ticks = jnp.minimum(jnp.broadcast_to(self.tau_u / h, u.shape), QUEUE - 1)
         whole = jnp.clip(jnp.floor(ticks), 0, QUEUE - 2).astype(int)[..., None]
         newer = jnp.take_along_axis(memory, whole, axis=-1)[..., 0]
         older = jnp.take_along_axis(memory, whole + 1, axis=-1)[..., 0]
@@ -147,17 +146,12 @@ class ValveDeadband(CommandChannel):
         return memory, up + jnp.where(u < -self.u_dbn, u + self.u_dbn, 0.0)
 
 
-class SensorChannel(eqx.Module):
-    """A channel on a sensor: `init(y, slope) -> memory`, `step(memory, y, h)`."""
+class SensorChannel(Effect):
+    """A channel on a sensor: `init(y, slope)`, `step(memory, y, h)`."""
 
-    name: ClassVar[str]
-    place: ClassVar[str]
-    needs: ClassVar[tuple[str, ...]]
-    betrayed_by: ClassVar[str]
-
-    def init(self, y: Array, slope: Array):
-        """Memory when the signal has run along a line of this slope until now."""
-        return ()
+    def init(self, y: Array, slope: Array) -> tuple[Any, Array, Array]:
+        """Memory, reading and the reading's slope after a long run along a line."""
+        return (), y, slope
 
     def step(self, memory, y: Array, h: Array):
         """One tick of length `h` at whose end the signal is `y`: memory, reading."""
@@ -172,7 +166,8 @@ class _Lag(SensorChannel):
         raise NotImplementedError
 
     def init(self, y, slope):
-        return y, y - self.lag() * slope
+        out = y - self.lag() * slope
+        return (y, out), out, slope
 
     def step(self, memory, y, h):
         before, out = memory
@@ -205,6 +200,9 @@ class LoadcellGain(SensorChannel):
     needs = ("loadcell",)
     betrayed_by = "F"
     eps: Array = param("1", 0.0, -0.5, 0.5, "gain error", strength=True, size=0.01)
+
+    def init(self, y, slope):
+        return (), (1 + self.eps) * y, (1 + self.eps) * slope
 
     def step(self, memory, y, h):
         return memory, (1 + self.eps) * y

@@ -33,10 +33,10 @@ errors = Console(stderr=True)
 RigFile = Annotated[Path, typer.Argument(help="Rig file (TOML).", show_default=False)]
 Logs = Annotated[
     list[Path],
-    typer.Argument(help="Logs to fit: CSV, CSV.gz, Parquet or MAT.", show_default=False),
+    typer.Argument(help="Logs to fit: CSV(.gz), Parquet or MAT.", show_default=False),
 ]
 Horizon = Annotated[float, typer.Option(help="Length of a replay window, s.", min=0.01)]
-Out = Annotated[Path, typer.Option(help="Folder for report.json, report.html, figures.")]
+Out = Annotated[Path, typer.Option(help="Folder for the report and its figures.")]
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike
 
 from .params import param
 
@@ -21,13 +21,14 @@ LAMINAR_CORE = 2.0e3
 _C_UNIT = "m^3/(s*{u}*Pa^0.5)"
 
 
-def root_flow(drop: Float[Array, "..."], core: float = LAMINAR_CORE) -> Array:
+def root_flow(drop: ArrayLike, core: float = LAMINAR_CORE) -> Array:
     """Signed square root of a pressure drop with a laminar core, in Pa^0.5.
 
     `drop / (drop^2 + core^2)^(1/4)`: odd, smooth, slope `core^-0.5` at zero, and
     sqrt(drop) as `core` goes to 0 (the paper's (8)).
     """
-    return drop / jnp.sqrt(jnp.sqrt(drop * drop + core * core))
+    d = jnp.asarray(drop)
+    return d / jnp.sqrt(jnp.sqrt(d * d + core * core))
 
 
 class Point(NamedTuple):

@@ -122,13 +122,13 @@ def _sense(rig: Rig, channels: tuple, y: Array, h: Array) -> Array:
     if not channels:
         return y
     slope = (y[:, 1] - y[:, 0]) / h[:, 0]
-    memory = tuple(c.init(y[:, 0], slope) for c in channels)
+    memory, first = rig.sense_init(channels, y[:, 0], slope)
 
     def step(memory, tick):
         return rig.sense(channels, memory, *tick)
 
-    _, out = jax.lax.scan(step, memory, (y[:, 1:].T, h[:, :-1].T))
-    return jnp.concatenate([out[:1].T, out.T], axis=1)
+    _, rest = jax.lax.scan(step, memory, (y[:, 1:].T, h[:, :-1].T))
+    return jnp.concatenate([first[:, None], rest.T], axis=1)
 
 
 def readings(
@@ -141,9 +141,7 @@ def readings(
     index = w.first[:, None] + jnp.arange(w.x.shape[1])
     z, speed = z[w.seg[:, None], index], speed[w.seg[:, None], index]
     rate = rig.mechanics.z_rate(z, w.v)
-    F = rig.output_force(
-        Sliding(w.t, w.x, w.v, w.a, z, rate, speed, P_a1, P_a2, w.P_s)
-    )
+    F = rig.output_force(Sliding(w.t, w.x, w.v, w.a, z, rate, speed, P_a1, P_a2, w.P_s))
     lead = w.x.shape[1] - w.scored
     y = [
         _sense(rig, rig.sensor_P, P_a1, w.h),

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from .friction import Friction, Sliding
 from .hydraulics import Chambers, Lands, Point
-from .params import Spec, specs
+from .params import Effect, Spec, specs
 
 PLACES = (
     "command",
@@ -135,11 +135,10 @@ class Rig(eqx.Module):
         def rates(P, k, v):
             part = k / (2 * n)
             p_s, p_r = (
-                p[..., 0] + part * (p[..., 1] - p[..., 0])
-                for p in (tick.P_s, tick.P_r)
+                p[..., 0] + part * (p[..., 1] - p[..., 0]) for p in (tick.P_s, tick.P_r)
             )
             return self.pressure_rates(
-                Point(*P, p_s, p_r, *opening, tick.x[..., k], v)
+                Point(P[0], P[1], p_s, p_r, *opening, x=tick.x[..., k], v=v)
             )
 
         for i in range(n):
@@ -168,11 +167,9 @@ class Rig(eqx.Module):
         rest = jnp.zeros_like(P_a1)
         at = Sliding(rest, x, rest, rest, rest, rest, rest, P_a1, P_a2, P_a1 + 1.0)
         F = self.output_force(at)
-        sensors = tuple(
-            tuple(s.init(p, rest) for s in self.sensor_P) for p in (P_a1, P_a2)
-        )
-        cell = tuple(s.init(F, rest) for s in self.sensor_F)
-        return State(self.command_init(u), (P_a1, P_a2), rest, rest, sensors, cell)
+        gauges = tuple(self.sense_init(self.sensor_P, p, rest)[0] for p in (P_a1, P_a2))
+        cell, _ = self.sense_init(self.sensor_F, F, rest)
+        return State(self.command_init(u), (P_a1, P_a2), rest, rest, gauges, cell)
 
     def step(self, state: State, tick: Tick) -> tuple[State, dict[str, Array]]:
         """Act over one tick, then sense at its end.
@@ -197,6 +194,16 @@ class Rig(eqx.Module):
         m_F, cell = self.sense(self.sensor_F, state.sensor_F, F, tick.h)
         signals = {"P_a1": P_a1, "P_a2": P_a2, "F": cell}
         return State(command, P, z, speed, (m_1, m_2), m_F), signals
+
+    def sense_init(
+        self, channels: tuple, y: Array, slope: Array
+    ) -> tuple[tuple, Array]:
+        """Memories and reading of a sensor whose signal has run along a line."""
+        memories = []
+        for channel in channels:
+            memory, y, slope = channel.init(y, slope)
+            memories.append(memory)
+        return tuple(memories), y
 
     def sense(self, channels: tuple, memory: tuple, y: Array, h: Array):
         """One sensor over one tick at whose end the signal is `y`."""
@@ -257,7 +264,7 @@ def get(rig: Rig, names: Sequence[str]) -> Array:
     return jnp.stack([_reach(rig, at[name]) for name in names])
 
 
-def put(rig: Rig, names: Sequence[str], values: Array) -> Rig:
+def put(rig: Rig, names: Sequence[str], values: ArrayLike) -> Rig:
     """The rig with the named parameters set to `values`, [len(names)], SI.
 
     Values are cast, so that a Python number compiles nothing new.
@@ -266,15 +273,15 @@ def put(rig: Rig, names: Sequence[str], values: Array) -> Rig:
         KeyError: a name that the rig has not.
     """
     at = _modules(rig)
-    values = jnp.asarray(values, dtype=float)
+    new = jnp.asarray(values, dtype=float)
     return eqx.tree_at(
         lambda r: [_reach(r, at[name]) for name in names],
         rig,
-        [values[i] for i in range(len(names))],
+        [new[i] for i in range(len(names))],
     )
 
 
-def add(rig: Rig, effects: Iterable[eqx.Module]) -> Rig:
+def add(rig: Rig, effects: Iterable[Effect]) -> Rig:
     """The rig with effects added, each at its own place, in the order given."""
     places: dict[str, list] = {place: list(getattr(rig, place)) for place in PLACES}
     for effect in effects:

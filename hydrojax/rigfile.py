@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal, NoReturn, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from hydrojax import units
-from hydrojax.errors import InputError
-from hydrojax.params import Spec
-from hydrojax.signals import SIGNALS, Channel
+from . import units
+from .errors import InputError
+from .params import Spec
+from .signals import SIGNALS, Channel
 
 Layout = Literal["pull-pull", "differential", "single", "driven-axis"]
 

@@ -22,8 +22,8 @@ import pandas as pd
 import scipy.io
 from pydantic import BaseModel, ConfigDict
 
-from hydrojax import units
-from hydrojax.errors import InputError
+from . import units
+from .errors import InputError
 
 SIGNALS = {
     "time": "s", "u": "{u}", "psi": "rad", "x": "m", "v": "m/s", "P_a1": "Pa",

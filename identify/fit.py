@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..params import Spec
-from ..rig import Rig, parameter_specs, put
+from ..rig import Rig
 from ..rigfile import RigSpec
 from .misfit import (
     Basis,
@@ -69,10 +69,14 @@ def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
 
 def batch_of(data: Data) -> Batch:
     """A fit's arrays from prepared logs."""
-    ones = np.ones(data.P_0.shape[0])
-    supply = np.asarray(data.supply_noise)
-    made = Batch(data.motion, data.windows, data.P_0, data.noise, supply, ones)
-    return jax.tree.map(jnp.asarray, made)
+    return Batch(
+        data.motion,
+        data.windows,
+        jnp.asarray(data.P_0),
+        jnp.asarray(data.noise),
+        jnp.asarray(data.supply_noise),
+        jnp.ones(data.P_0.shape[0]),
+    )
 
 
 def _gram(
@@ -85,7 +89,8 @@ def _gram(
     d: Array,
 ) -> tuple[Array, Sums]:
     """Gram matrix at `values` moved by `d` along the directions, with priors; and the
-    sums there, without the matrices of the single windows."""
+    sums there, without the matrices of the single windows.
+    """
     k_1 = directions.hydraulic.shape[1]
     move = jnp.concatenate([directions.hydraulic @ d[:k_1], directions.other @ d[k_1:]])
     at = sums(model, values + move, directions, batch, simulate)
@@ -199,7 +204,7 @@ class Problem:
         out = _run(
             self.model,
             jnp.asarray(values),
-            jax.tree.map(jnp.asarray, basis(self.model, free, slots)),
+            basis(self.model, free, slots),
             self._prior(columns, at, scale),
             boxed(lower),
             boxed(upper),
@@ -246,17 +251,16 @@ class Problem:
         The windows' initial pressures are corrected twice: logs that take no part in
         a fit come with a first guess only, too far off for one linear step.
         """
-        batch, values = self.batch, jnp.asarray(values)
-        _, error = _leftover(self.model, values, batch, self.simulate)
+        batch, at = self.batch, jnp.asarray(values)
+        _, error = _leftover(self.model, at, batch, self.simulate)
         batch = batch._replace(P_0=batch.P_0 - error)
-        return np.asarray(_leftover(self.model, values, batch, self.simulate)[0])
+        return np.asarray(_leftover(self.model, at, batch, self.simulate)[0])
 
     def errors_at(self, values: np.ndarray) -> np.ndarray:
         """Squared residuals by window and channel, [W, 3], SI."""
         return np.sum(self.residuals_at(values) ** 2, axis=1)
 
     def _evaluate(self, values, directions, batch) -> Sums:
-        directions = jax.tree.map(jnp.asarray, directions)
         values = jnp.asarray(values)
         return _sums(self.model, values, directions, batch, self.simulate)
 
@@ -353,13 +357,14 @@ def fit_jointly(
     """Fit everything free at once from nearby, each channel at its weight."""
     noise = np.asarray(problem.batch.noise)
     seen = np.isfinite(noise)
-    for _ in range(3):
+    for left in reversed(range(3)):
         values, out = problem.solve(values, free, weights)
         problem = problem.restarted(out.also)
-        previous, weights = weights, bent(noise, problem.rms(out.also.sse))
-        if np.allclose(previous[seen], weights[seen], rtol=0.1):
-            break
-    return problem, Point(values, previous, int(out.steps), bool(out.converged))
+        earned = bent(noise, problem.rms(out.also.sse))
+        if left == 0 or np.allclose(earned[seen], weights[seen], rtol=0.1):
+            return problem, Point(values, weights, int(out.steps), bool(out.converged))
+        weights = earned
+    raise AssertionError("the last round returns")
 
 
 def fit_pressures(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -82,7 +81,8 @@ _OWN_PRIOR = np.diag([1 / START_SPREAD**2] * 2 + [1.0] * SUPPLY_BLOCKS)
 class Sums(NamedTuple):
     """Per window: `gram` [W, k+1, k+1] of [sensitivities, residual], whitened, what
     the window has of its own eliminated; `start` [W, NUISANCE, k+1] its solution (of
-    the residual, with the sign turned); `sse` [W, 3] squared residuals, SI."""
+    the residual, with the sign turned); `sse` [W, 3] squared residuals, SI.
+    """
 
     gram: Array
     start: Array
@@ -114,7 +114,7 @@ def basis(model: Model, names: tuple[str, ...], slots: tuple[int, int]) -> Basis
             raise ValueError(f"no slot left for {name}")
         out[side][i - side * model.hydraulic, used[side]] = model.scale[i]
         used[side] += 1
-    return Basis(*out)
+    return Basis(*(jnp.asarray(a) for a in out))
 
 
 def slot_names(

@@ -51,7 +51,8 @@ class Effect:
 @dataclass(frozen=True)
 class Candidate:
     """What became of a candidate; `share` is the part of the fit's chi-square that a
-    linear step along it would remove."""
+    linear step along it would remove.
+    """
 
     name: str
     status: str

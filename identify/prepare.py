@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 from scipy import interpolate, signal
 
@@ -24,8 +25,9 @@ LEAD = 20
 SETTLE = 0.5
 """Seconds at the head of a segment that no window takes: the bristle's start is
 unknown."""
-QUIET = 0.005
-"""Share of the acceleration that may be noise of the position."""
+QUIET = {"u": 0.1, "pressures": 0.005, "P": 0.005}
+"""Share of the acceleration that may be noise of the position, by what drives. Where u
+drives, only acceleration is taken in that band; elsewhere the force is compared in it."""
 SLOWEST = 20.0
 """Hz below which motion is always followed: friction turns round that fast."""
 SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
@@ -46,7 +48,7 @@ class Data:
         noise: [3] standard deviation of each channel's noise, SI; inf if not compared.
         supply_noise: standard deviation of the measured P_s, Pa; 0 if not measured.
         driven_by: `u`, or what else drives the replay.
-        band: Hz up to which speed, acceleration and force are taken; inf for all.
+        band: Hz up to which acceleration (and, without u, speed and force) is taken.
         travel: range of x that is compared, m.
         areas: on which the two pressures push, m^2.
         notes: one-line remarks for the report.
@@ -91,12 +93,12 @@ def _position(log: Log, spec: RigSpec) -> np.ndarray:
     raise InputError(f"{log.name}: no motion: give a column x [m] or psi [rad]")
 
 
-def motion_band(t: np.ndarray, x: np.ndarray) -> float | None:
+def motion_band(t: np.ndarray, x: np.ndarray, quiet: float) -> float | None:
     """Frequency (Hz) up to which acceleration can be had from a position, or None.
 
     The spectrum of a position falls until it meets the flat floor of its noise, which
     acceleration raises with the fourth power of frequency. The band is where noise
-    brings at most `QUIET` of the acceleration that stands clear of it; None if that
+    brings at most the share `quiet` of the acceleration that stands clear of it; None if that
     is all of it.
     """
     h = float(np.median(np.diff(t)))
@@ -108,8 +110,8 @@ def motion_band(t: np.ndarray, x: np.ndarray) -> float | None:
     clear = power > 10 * floor
     size = np.sum((power * rise)[clear]) * step
     noise = np.cumsum(floor * rise) * step
-    quiet = np.nonzero(noise <= QUIET**2 * size)[0]
-    cut = float(f[quiet[-1]]) if quiet.size else float(f[1])
+    below = np.nonzero(noise <= quiet**2 * size)[0]
+    cut = float(f[below[-1]]) if below.size else float(f[1])
     cut = max(cut, SLOWEST)
     return None if cut > 0.4 / h else cut
 
@@ -127,13 +129,14 @@ def smooth(t: np.ndarray, y: np.ndarray, cut: float) -> interpolate.BSpline:
 class _Segment:
     """One segment's signals at its ticks, all SI; see `Windows` for the names.
 
-    `place` gives the position, `rates` its derivatives.
+    `place` gives the position between ticks.
     """
 
     log: int
     t: np.ndarray
     place: interpolate.BSpline
-    rates: interpolate.BSpline
+    v: np.ndarray
+    a: np.ndarray
     u: np.ndarray
     P_s: np.ndarray
     P_r: np.ndarray
@@ -157,7 +160,7 @@ def prepare(
         horizon: length of a window, s.
         noise: [3] to be used, or None to take the rig file's or estimate it.
         sign: -1 turns the motion round.
-        band: Hz up to which speed, acceleration and force are taken; None to find it.
+        band: Hz up to which acceleration is taken; None to find it.
 
     Raises:
         InputError: no motion, nothing to predict, logs that differ in their signals,
@@ -168,9 +171,10 @@ def prepare(
     if band is None:
         band = common_band(logs, spec, driven_by)
     if np.isfinite(band):
+        what = "it is" if driven_by == "u" else "speed, acceleration and force are"
         notes.append(
-            f"above {band:.0f} Hz acceleration would be noise of the position: speed, "
-            "acceleration and force are compared below that"
+            f"above {band:.0f} Hz acceleration would be noise of the position: {what} "
+            "taken below that"
         )
     segments = [
         _segment(i, log, spec, slice(*rows), sign, band)
@@ -250,15 +254,11 @@ def _driver(logs: Sequence[Log], spec: RigSpec) -> str:
 
 
 def common_band(logs: Sequence[Log], spec: RigSpec, driven_by: str) -> float:
-    """The narrowest of the logs' bands, Hz; inf if none is needed.
-
-    None is where u drives: there displacement must be exact, since a chamber
-    integrates it.
-    """
-    if driven_by == "u":
-        return np.inf
+    """The narrowest of the logs' bands, Hz; inf if none is needed."""
     bands = [
-        motion_band(log.time[slice(*rows)], _position(log, spec)[slice(*rows)])
+        motion_band(
+            log.time[slice(*rows)], _position(log, spec)[slice(*rows)], QUIET[driven_by]
+        )
         for log in logs
         for rows in log.segments
     ]
@@ -275,19 +275,23 @@ def _segment(
     P = np.stack([get.get("P_a1", zero), get.get("P_a2", zero)], axis=1)
     if "P" in get and "P_a2" not in get:
         P = np.stack([zero, get["P"]], axis=1)
+    place = interpolate.make_interp_spline(t, x, k=5)
+    v, a = place(t, 1), place(t, 2)
     if np.isfinite(band):
-        # The bristle takes displacement as it is; only what is differentiated needs a
-        # band, and the force that follows it is compared in the same.
-        place, rates = interpolate.make_interp_spline(t, x, k=1), smooth(t, x, band)
-        P = np.stack([smooth(t, p, band)(t) for p in P.T], axis=1)
-        F = smooth(t, F, band)(t) if np.ptp(F) > 0 else F
-    else:
-        place = rates = interpolate.make_interp_spline(t, x, k=5)
+        calm = smooth(t, x, band)
+        a = calm(t, 2)
+        if "u" not in get:
+            # Displacement stays as it is, for the bristle; what follows speed and
+            # acceleration is compared in their band.
+            place, v = interpolate.make_interp_spline(t, x, k=1), calm(t, 1)
+            P = np.stack([smooth(t, p, band)(t) for p in P.T], axis=1)
+            F = smooth(t, F, band)(t) if np.ptp(F) > 0 else F
     return _Segment(
         log=i,
         t=t,
         place=place,
-        rates=rates,
+        v=v,
+        a=a,
         u=get.get("u", zero),
         P_s=get["P_s"]
         if "P_s" in get
@@ -309,11 +313,10 @@ def runs_backward(data: Data) -> bool:
     if data.driven_by == "u" or not np.isfinite(data.noise[2]):
         return False
     w = data.windows
-    lead = w.x.shape[1] - w.measured.shape[1]
-    v = w.v[:, lead:]
-    areas = np.asarray(data.areas)
-    drive = areas[1] * w.P_a2[:, lead:] - areas[0] * w.P_a1[:, lead:]
-    loss = drive - w.measured[..., 2]
+    lead = w.x.shape[1] - w.scored
+    v = np.asarray(w.v[:, lead:])
+    drive = data.areas[1] * w.P_a2[:, lead:] - data.areas[0] * w.P_a1[:, lead:]
+    loss = np.asarray(drive - w.measured[..., 2])
     fast = np.abs(v) > 0.3 * np.std(v)
     falls = []
     for log in np.unique(data.log):
@@ -345,7 +348,7 @@ def _motion(segments: list[_Segment], h: float) -> Motion:
         ticks[k, : step.size] = step
         first = np.abs(dx[k, : max(int(0.2 / h), 2)])
         speed[k] = first.sum() / (first.shape[0] * h)
-    return Motion(dx=dx, h=ticks, speed0=speed)
+    return Motion(*(jnp.asarray(a) for a in (dx, ticks, speed)))
 
 
 def _windows(
@@ -380,8 +383,8 @@ def _windows(
             "P_r": s.P_r[at],
             "t": t - segments[k].t[0],
             "x": s.place(t),
-            "v": s.rates(t, 1),
-            "a": s.rates(t, 2),
+            "v": s.v[at],
+            "a": s.a[at],
             "x_fine": s.place(fine),
             "P_a1": s.P[at, 0],
             "P_a2": s.P[at, 1],
@@ -389,7 +392,7 @@ def _windows(
         }
         for name, value in row.items():
             columns[name].append(value)
-    windows = Windows(**{k: np.array(v) for k, v in columns.items()})
+    windows = Windows(**{k: jnp.asarray(np.array(v)) for k, v in columns.items()})
     return windows, np.array(P_0)
 
 

@@ -12,9 +12,11 @@ import jax
 import numpy as np
 
 from ..build import load_rig, make_effects, make_rig
+from ..channels import QUEUE
 from ..effects import EFFECTS
 from ..errors import InputError
-from ..params import specs
+from ..params import Effect, specs
+from ..rig import PARTS
 from ..rigfile import RigSpec
 from ..signals import Log, read_log
 from .fit import (
@@ -32,7 +34,7 @@ from .outcome import Outcome
 from .prepare import Data, prepare, runs_backward
 from .starts import best_start
 from .summary import summarise
-from .trace import Tracing, judge, trace
+from .trace import Tracing, trace
 
 Tell = Callable[[str], None]
 
@@ -131,7 +133,7 @@ def _in_play(problem: Problem, free: dict[str, Free], data: Data) -> tuple[str, 
 
 def _problems(
     case: Case, candidates: Sequence[str]
-) -> tuple[Problem, Problem, tuple[str, ...], dict]:
+) -> tuple[Problem, Problem, tuple[str, ...], dict[str, Effect]]:
     """Problems on both sets of logs, the free parameters, the candidates' modules."""
     names = (*case.spec.effects, *candidates)
     effects = make_effects(names, case.spec, case.fit.travel)
@@ -140,6 +142,11 @@ def _problems(
     known = dict(free)
     for name in candidates:
         known |= free_effect(name, specs(effects[name]))
+    if "valve_delay.tau_u" in known:
+        # A delay reaches no further back than its queue, which counts in ticks.
+        reach = (QUEUE - 1) / PARTS * float(np.min(case.fit.windows.h))
+        f = known["valve_delay.tau_u"]
+        known["valve_delay.tau_u"] = replace(f, upper=min(f.upper, reach))
     problem = Problem.of(rig, free, case.fit)
     check = Problem.of(rig, free, case.check)
     use = _in_play(problem, free, case.fit)
@@ -218,10 +225,10 @@ class _Compiling:
         self.spans: list[tuple[float, float]] = []
         jax.monitoring.register_event_duration_secs_listener(self._heard)
 
-    def _heard(self, event: str, duration: float, **_: str | int) -> None:
+    def _heard(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         if event == self.EVENT:
             now = time.perf_counter()
-            self.spans.append((now - duration, now))
+            self.spans.append((now - duration_secs, now))
 
     @property
     def seconds(self) -> float:
@@ -248,9 +255,10 @@ def _settled(state: Tracing) -> tuple[Tracing, tuple[str, ...]]:
         state.free,
         state.point.weights,
     )
-    own, tied = (state.check.errors_at(p.values) for p in (state.point, point))
-    size = np.maximum(noise, state.check.rms(own))
-    if judge(state, tied, own, size) == "helps":
+    own, tied = (
+        state.check.rms(state.check.errors_at(p.values)) for p in (state.point, point)
+    )
+    if np.any(tied > own + state.matters * np.maximum(noise, own)):
         return state, ()
     said = (
         "k_cp, k_cn and k_0: these logs tell only k_cp + k_0 and k_cn - k_0; k_cp and "

@@ -69,13 +69,13 @@ class BoxedNewton(optx.AbstractDescent):
 
 
 def _quiet(**_: Any) -> None:
-    """optimistix asks for something to report each step to."""
+    """Optimistix asks for something to report each step to."""
 
 
 class _BoxedLM(optx.AbstractGaussNewton):
     rtol: float
     atol: float
-    descent: BoxedNewton
+    descent: optx.AbstractDescent
     search: optx.AbstractSearch = optx.ClassicalTrustRegion(
         # Trust grows sooner than optimistix's own rule lets it: beta and the valve
         # constants are nearly one direction, which heavy damping crosses slowly.
@@ -88,7 +88,7 @@ class _BoxedLM(optx.AbstractGaussNewton):
     verbose: Callable[..., None] = _quiet
 
     def terminate(self, fn, y, args, options, state, tags):
-        """Stop on a small step, when none is foreseen to pay, or when six in a row failed.
+        """Stop on a small step, when none is foreseen to pay, or after six failures.
 
         Without the second rule a fit at its minimum goes on for a dozen rejected
         steps, which differ from it by rounding.
@@ -102,7 +102,8 @@ class _BoxedLM(optx.AbstractGaussNewton):
 
 class Fit(NamedTuple):
     """Where a fit ended: coordinates [k], cost, steps taken, whether it converged, and
-    what else the misfit said there."""
+    what else the misfit said there.
+    """
 
     at: Array
     cost: Array
@@ -119,7 +120,9 @@ def minimise(
     Args:
         gram: coordinates [k] -> Gram matrix [k+1, k+1] of [Jacobian, residual], and
             whatever else is wanted of the place where the fit ends.
-        start, lower, upper: [k].
+        start: [k].
+        lower: [k] ends of the box.
+        upper: [k] ends of the box.
         steps: at most this many evaluations.
         tol: stop when a step changes every coordinate by less than this.
 

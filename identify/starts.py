@@ -46,7 +46,7 @@ def best_start(
         problem.model,
         jnp.asarray(values),
         coordinates(starts),
-        jax.tree.map(jnp.asarray, basis(problem.model, free, slots)),
+        basis(problem.model, free, slots),
         coordinates(lower),
         coordinates(upper),
         thinned(problem.batch),

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-import equinox as eqx
 import numpy as np
 
-from ..params import specs
+from ..params import Effect, specs
 from ..rig import HYDRAULIC
 from .fit import (
     PRESSURES,
@@ -57,7 +56,7 @@ class Tracing:
 
     problem: Problem
     check: Problem
-    effects: Mapping[str, eqx.Module]
+    effects: Mapping[str, Effect]
     free: tuple[str, ...]
     point: Point
     matters: float
@@ -94,9 +93,7 @@ def trace(state: Tracing) -> Tracing:
     return state
 
 
-def _stage(
-    state: Tracing, effects: Mapping[str, eqx.Module], noise: np.ndarray
-) -> Tracing:
+def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
     for _ in range(ROUNDS):
         known = {a.name for a in state.added}
         rest = {n: e for n, e in effects.items() if n not in known}
@@ -109,12 +106,12 @@ def _stage(
     return state
 
 
-def strengths(effect: eqx.Module) -> list[str]:
+def strengths(effect: Effect) -> list[str]:
     """Names of an effect's strengths, as the model has them."""
     return [f"{effect.name}.{n}" for n, s in specs(effect).items() if s.strength]
 
 
-def free_names(effect: eqx.Module) -> list[str]:
+def free_names(effect: Effect) -> list[str]:
     """Names of all parameters of an effect, as the model has them."""
     return [f"{effect.name}.{n}" for n in specs(effect)]
 
@@ -126,7 +123,7 @@ def _size_that_matters(state: Tracing, noise: np.ndarray) -> float:
 
 
 def _scores(
-    state: Tracing, effects: Mapping[str, eqx.Module], noise: np.ndarray
+    state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
 ) -> dict[str, Score]:
     """Every candidate's score at the present fit, each at its best shape."""
     names = list(state.problem.model.names)
@@ -161,7 +158,7 @@ def _scores(
 
 
 def _shaped(
-    state: Tracing, effects: Mapping[str, eqx.Module], g: int
+    state: Tracing, effects: Mapping[str, Effect], g: int
 ) -> tuple[np.ndarray, dict[str, dict[str, float]]]:
     """The present values with shapes at their g-th grid value, and those shapes."""
     values = state.point.values.copy()
@@ -177,7 +174,7 @@ def _shaped(
 
 def _round(
     state: Tracing,
-    effects: Mapping[str, eqx.Module],
+    effects: Mapping[str, Effect],
     scores: Mapping[str, Score],
     noise: np.ndarray,
 ) -> Tracing:
@@ -219,7 +216,7 @@ def _round(
 
 
 def _refit(
-    state: Tracing, effect: eqx.Module, s: Score, noise: np.ndarray
+    state: Tracing, effect: Effect, s: Score, noise: np.ndarray
 ) -> tuple[Problem, Point]:
     """Fit again with the effect free, from half the step that its score foresees."""
     problem, values = state.problem, state.point.values.copy()

@@ -37,7 +37,8 @@ def believe(problem: Problem, point: Point, free: Sequence[str]) -> Belief:
     """
     names = problem.model.names
     gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
-    inside, ends = [], {}
+    inside: list[str] = []
+    ends: dict[str, str] = {}
     for name in free:
         value, f = point.values[names.index(name)], problem.free[name]
         slack = 1e-9 * max(abs(f.lower), abs(f.upper))
@@ -51,7 +52,7 @@ def believe(problem: Problem, point: Point, free: Sequence[str]) -> Belief:
     scale = problem.model.scale[columns]
     covariance, H = _covariance(problem, gram, inside, columns)
     std: dict[str, float | None] = {name: None for name in free}
-    vague = []
+    vague: list[str] = []
     for i, name in enumerate(inside):
         s = float(np.sqrt(max(covariance[i, i], 0.0))) * scale[i]
         std[name] = s
@@ -93,7 +94,7 @@ def _at_end(name: str, end: str) -> str:
     )
 
 
-def _in_words(vague: Sequence[str], inside: Sequence[str], H: np.ndarray) -> list[str]:
+def _in_words(vague: list[str], inside: list[str], H: np.ndarray) -> list[str]:
     """Which parameters the logs do not tell, and with what they trade."""
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     values, vectors = np.linalg.eigh(H / np.outer(size, size))
@@ -104,7 +105,7 @@ def _in_words(vague: Sequence[str], inside: Sequence[str], H: np.ndarray) -> lis
             out.append(f"{name} is not identified: these logs hardly show it at all")
             continue
         weak = vectors[:, 0]
-        partners = [
+        partners: list[str] = [
             inside[j] for j in np.argsort(-np.abs(weak))[:3] if abs(weak[j]) > 0.2
         ]
         others = [p for p in partners if p != name]

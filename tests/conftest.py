@@ -1,16 +1,22 @@
 """A reference rig, and short synthetic logs with motion known in closed form."""
 
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 import pytest
 
+from hydrojax.backend import set_up_jax
 from hydrojax.replay import Motion, Windows
 from hydrojax.rig import Rig, bare_rig, put
+from tests import generator
 
-jax.config.update("jax_enable_x64", True)
+CACHE_HOME = Path(tempfile.gettempdir()) / "hydrojax-tests"
+"""Compiled programs are kept here between runs, in a folder `hydrojax`."""
+
+set_up_jax(CACHE_HOME / "hydrojax")
 
 GEOMETRY = {"area": 1.18e-3, "chamber_length": 0.2}
 
@@ -159,3 +165,24 @@ def reference() -> Callable[[Rig], Rig]:
 def drive() -> Callable[..., Drive]:
     """What makes a synthetic log; see `make_drive`."""
     return make_drive
+
+
+@pytest.fixture(scope="session")
+def cache_home() -> Path:
+    """Where the tests' compiled programs are, as XDG_CACHE_HOME has it."""
+    return CACHE_HOME
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory) -> Callable[..., Path]:
+    """What records a case of the generator, once: rig.toml, three logs, truth.json."""
+    made: dict[tuple, Path] = {}
+
+    def record(seed: int, effects=None, seconds: float = 12.0) -> Path:
+        key = (seed, repr(effects), seconds)
+        if key not in made:
+            made[key] = tmp_path_factory.mktemp("case")
+            generator.write_case(made[key], seed, effects, seconds)
+        return made[key]
+
+    return record

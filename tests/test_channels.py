@@ -46,7 +46,7 @@ def run(channel: CommandChannel, u, h=H):
 def read(channel: SensorChannel, y, slope, h=H):
     """What the sensor reads at each tick but the first."""
     y = jnp.asarray(y)
-    start = channel.init(y[0], jnp.asarray(slope))
+    start, *_ = channel.init(y[0], jnp.asarray(slope))
     out = jax.lax.scan(lambda m, value: channel.step(m, value, h), start, y[1:])[1]
     return np.asarray(out)
 

@@ -62,7 +62,7 @@ def by_steps(rig, log):
     true = readings(silent, unscored, *P, z, speed)
 
     def sensors(channels, y):
-        return tuple(c.init(y[:, 0], (y[:, 1] - y[:, 0]) / w.h[:, 0]) for c in channels)
+        return rig.sense_init(channels, y[:, 0], (y[:, 1] - y[:, 0]) / w.h[:, 0])[0]
 
     memory, _ = jax.lax.scan(
         lambda m, tick: rig.command_step(m, *tick),

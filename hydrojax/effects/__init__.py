@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import equinox as eqx
-
 from ..channels import (
     LoadcellGain,
     LoadcellLag,
@@ -14,6 +12,7 @@ from ..channels import (
     ValveHysteresis,
     ValveLag,
 )
+from ..params import Effect
 from .hydraulic import EntrainedAir, ExternalLeakage, InternalLeakage, SupplyLineDrop
 from .mechanical import (
     BristleDamping,
@@ -26,7 +25,7 @@ from .mechanical import (
     ViscousFriction,
 )
 
-EFFECTS: dict[str, type[eqx.Module]] = {
+EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect
     for effect in (
         # The order on the command's path: the delay holds what the controller wrote,
@@ -54,4 +53,4 @@ EFFECTS: dict[str, type[eqx.Module]] = {
     )
 }
 
-__all__ = ["EFFECTS"]
+__all__ = ["EFFECTS", "Effect"]

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..hydraulics import Point
-from ..params import param
+from ..params import Effect, param
 
 P_0 = 101_325.0
 """Atmospheric pressure (Pa): the reference of entrained air."""
 
 
-class FlowEffect(eqx.Module):
+class FlowEffect(Effect):
     """Adds flows into the two chambers: `flow(at) -> (q_1, q_2)`, m^3/s."""
 
-    name: ClassVar[str]
-    place: ClassVar[str] = "flow"
-    needs: ClassVar[tuple[str, ...]] = ("u",)
-    betrayed_by: ClassVar[str]
+    place = "flow"
+    needs = ("u",)
 
     def flow(self, at: Point) -> tuple[Array, Array]:
         """Flows into chambers 1 and 2 at a point, m^3/s."""
@@ -55,13 +50,13 @@ class ExternalLeakage(FlowEffect):
         return -self.c_el * (at.P_a1 - at.P_r), -self.c_el * (at.P_a2 - at.P_r)
 
 
-class SupplyLineDrop(eqx.Module):
+class SupplyLineDrop(Effect):
     """Turbulent loss ahead of the valve (C7, C8): `k_s Q_s^2`, in closed form."""
 
-    name: ClassVar[str] = "supply_line_drop"
-    place: ClassVar[str] = "supply"
-    needs: ClassVar[tuple[str, ...]] = ("u",)
-    betrayed_by: ClassVar[str] = "abs(u)"
+    name = "supply_line_drop"
+    place = "supply"
+    needs = ("u",)
+    betrayed_by = "abs(u)"
     k_s: Array = param(
         "Pa*s^2/m^6", 0.0, 0.0, 1e18, "line loss", strength=True, size=2e13
     )
@@ -72,13 +67,13 @@ class SupplyLineDrop(eqx.Module):
         return available * load / (1 + load)
 
 
-class EntrainedAir(eqx.Module):
+class EntrainedAir(Effect):
     """Compliance of free air in the oil (C4), polytropic, pressure absolute."""
 
-    name: ClassVar[str] = "entrained_air"
-    place: ClassVar[str] = "compliance"
-    needs: ClassVar[tuple[str, ...]] = ("u",)
-    betrayed_by: ClassVar[str] = "P_a1 + P_a2"
+    name = "entrained_air"
+    place = "compliance"
+    needs = ("u",)
+    betrayed_by = "P_a1 + P_a2"
     alpha: Array = param(
         "1", 0.0, 0.0, 0.3, "air content at 1 atm", strength=True, size=2e-3
     )

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..friction import Sliding
-from ..params import param
+from ..params import Effect, param
 
 
-class LevelEffect(eqx.Module):
+class LevelEffect(Effect):
     """Adds to the Coulomb level: `level(at, base) -> N`."""
 
-    name: ClassVar[str]
-    place: ClassVar[str] = "level"
-    needs: ClassVar[tuple[str, ...]] = ("F",)
-    betrayed_by: ClassVar[str]
+    place = "level"
+    needs = ("F",)
 
     def level(self, at: Sliding, base: Array) -> Array:
         """What is added to the Coulomb level `base` (N) of this direction."""
@@ -100,13 +96,11 @@ class FrictionDrift(LevelEffect):
         return base * self.a * jnp.expm1(-at.t / self.tau)
 
 
-class FrictionForce(eqx.Module):
+class FrictionForce(Effect):
     """Adds a friction force inside f_c: `force(at) -> N`."""
 
-    name: ClassVar[str]
-    place: ClassVar[str] = "friction"
-    needs: ClassVar[tuple[str, ...]] = ("F",)
-    betrayed_by: ClassVar[str]
+    place = "friction"
+    needs = ("F",)
 
     def force(self, at: Sliding) -> Array:
         """Friction force beside the paper's f_c, N."""
@@ -135,13 +129,11 @@ class BristleDamping(FrictionForce):
         return self.sigma_1 * at.z_rate
 
 
-class ForceEffect(eqx.Module):
+class ForceEffect(Effect):
     """Adds a force between piston and load cell: `force(at) -> N`."""
 
-    name: ClassVar[str]
-    place: ClassVar[str] = "force"
-    needs: ClassVar[tuple[str, ...]] = ("F",)
-    betrayed_by: ClassVar[str]
+    place = "force"
+    needs = ("F",)
 
     def force(self, at: Sliding) -> Array:
         """Force added to what the load cell feels, N."""
