@@ -245,9 +245,7 @@ def judge(
     seen = np.isfinite(noise)
     sigma = noise[seen]
     a, b = state.check.rms(after)[seen], state.check.rms(before)[seen]
-    fall = (before - after)[:, seen]
-    error = fall.std(axis=0, ddof=1) / np.sqrt(len(fall))
-    sure = fall.mean(axis=0) > BEYOND_CHANCE * np.maximum(error, 1e-300)
+    sure = beyond_chance(before[:, seen], after[:, seen])
     helps = sure & (b - a > state.matters * sigma)
     if not helps.any():
         return "too small" if sure.any() else "does not help"
@@ -255,6 +253,22 @@ def judge(
     if not np.any(helps & ((a <= AT_NOISE * sigma) | (share > SHARE))):
         return "explains too little"
     return "helps"
+
+
+def beyond_chance(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Whether squared errors [W, c] fell by more than chance, by channel.
+
+    Windows are paired. The fall itself is tested and its logarithm too: an effect that
+    acts in a few windows only (a reversal) makes a fall of few large terms, whose mean
+    is uncertain though nearly every one of them is clear.
+    """
+    small = 1e-12 * np.max(before) + 1e-300
+
+    def clear(fall):
+        error = fall.std(axis=0, ddof=1) / np.sqrt(len(fall))
+        return fall.mean(axis=0) > BEYOND_CHANCE * np.maximum(error, 1e-300)
+
+    return clear(before - after) | clear(np.log((before + small) / (after + small)))
 
 
 def _cost(sse: np.ndarray, noise: np.ndarray) -> float:
