@@ -25,7 +25,7 @@ LEAD = 20
 SETTLE = 0.5
 """Seconds at the head of a segment that no window takes: the bristle's start is
 unknown."""
-QUIET = {"u": 0.1, "pressures": 0.005, "P": 0.005}
+QUIET = {"u": 0.1, "pressures": 0.001, "P": 0.001}
 """Share of the acceleration that may be noise of the position, by what drives. Where u
 drives, only acceleration is taken in that band; elsewhere the force is compared in it."""
 SLOWEST = 20.0
