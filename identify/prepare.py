@@ -26,8 +26,8 @@ SETTLE = 0.5
 """Seconds at the head of a segment that no window takes: the bristle's start is
 unknown."""
 QUIET = {"u": 0.1, "pressures": 0.001, "P": 0.001}
-"""Share of the acceleration that may be noise of the position, by what drives. Where u
-drives, only acceleration is taken in that band; elsewhere the force is compared in it."""
+"""Share of the acceleration that may be noise of the position, by what drives. Where
+u drives, only acceleration is taken in that band; elsewhere force is compared in it."""
 SLOWEST = 20.0
 """Hz below which motion is always followed: friction turns round that fast."""
 SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
@@ -98,8 +98,8 @@ def motion_band(t: np.ndarray, x: np.ndarray, quiet: float) -> float | None:
 
     The spectrum of a position falls until it meets the flat floor of its noise, which
     acceleration raises with the fourth power of frequency. The band is where noise
-    brings at most the share `quiet` of the acceleration that stands clear of it; None if that
-    is all of it.
+    brings at most the share `quiet` of the acceleration that stands clear of it; None
+    if that is all of it.
     """
     h = float(np.median(np.diff(t)))
     even = np.interp(np.arange(t[0], t[-1], h), t, x)

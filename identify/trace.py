@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import stats
 
 from ..params import Effect, specs
 from ..rig import HYDRAULIC
@@ -25,6 +26,9 @@ AT_NOISE = 1.1
 SHARE = 0.2
 """An effect that leaves a channel above its noise is named only if it took at least
 this share of the channel's excess (in squares): less is bending, not explaining."""
+PROMISING = 0.02
+"""Share of chi-square from which a candidate is refitted whatever its score's p-value:
+under a second missing effect the windows' scores scatter, and the test is weak."""
 TRIES = 4
 """Candidates that are refitted in a round, and as many more as score nearly as high."""
 ROUNDS = 4
@@ -90,6 +94,34 @@ def trace(state: Tracing) -> Tracing:
         problem, point = fit_force(state.problem, state.point.values, state.free)
         state = replace(state, problem=problem, point=point)
         state = _stage(state, state.effects, state.noise)
+    return _without_needless(state)
+
+
+def _without_needless(state: Tracing) -> Tracing:
+    """Let go of effects that the later ones made needless, the earliest first."""
+    for name in [a.name for a in state.added[:-1]]:
+        effect = state.effects[name]
+        gone = set(free_names(effect))
+        free = tuple(n for n in state.free if n not in gone)
+        values = state.point.values.copy()
+        for n in strengths(effect):
+            values[state.problem.model.names.index(n)] = 0.0
+        state.tell(f"refit without {name}")
+        problem, point = fit_jointly(state.problem, values, free, state.point.weights)
+        own, less = (
+            state.check.rms(state.check.errors_at(p.values))
+            for p in (state.point, point)
+        )
+        if np.all(less <= own + state.matters * state.noise):
+            state.tell(f"let go of {name}")
+            state = replace(
+                state,
+                problem=problem,
+                point=point,
+                free=free,
+                added=tuple(a for a in state.added if a.name != name),
+                tried={**state.tried, name: "needless"},
+            )
     return state
 
 
@@ -184,7 +216,7 @@ def _round(
     worth = [
         s
         for s in sorted(scores.values(), key=lambda s: -s.gain)
-        if s.gain > least and p[s.name] < state.level
+        if s.gain > least and (p[s.name] < state.level or s.share > PROMISING)
     ]
     before = state.check.errors_at(state.point.values)
     tried = dict(state.tried)
@@ -203,6 +235,7 @@ def _round(
         return state
     helped.sort(key=lambda h: h[0])
     _, name, problem, point, after = helped[0]
+    p_value = min(p[name], len(scores) * chance(before, after, noise))
     alike = tuple(n for _, n, _, _, a in helped[1:] if not _worse(a, after, noise))
     rms = state.check.rms
     state.tell(f"added {name}")
@@ -211,7 +244,7 @@ def _round(
         problem=problem,
         point=point,
         free=(*state.free, *free_names(effects[name])),
-        added=(*state.added, Added(name, p[name], rms(before), rms(after), alike)),
+        added=(*state.added, Added(name, p_value, rms(before), rms(after), alike)),
     )
 
 
@@ -245,7 +278,7 @@ def judge(
     seen = np.isfinite(noise)
     sigma = noise[seen]
     a, b = state.check.rms(after)[seen], state.check.rms(before)[seen]
-    sure = beyond_chance(before[:, seen], after[:, seen])
+    sure = _falls(before[:, seen], after[:, seen]) > BEYOND_CHANCE
     helps = sure & (b - a > state.matters * sigma)
     if not helps.any():
         return "too small" if sure.any() else "does not help"
@@ -255,20 +288,29 @@ def judge(
     return "helps"
 
 
-def beyond_chance(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Whether squared errors [W, c] fell by more than chance, by channel.
+def _falls(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """By how many standard errors squared errors [W, c] fell, by channel.
 
-    Windows are paired. The fall itself is tested and its logarithm too: an effect that
-    acts in a few windows only (a reversal) makes a fall of few large terms, whose mean
-    is uncertain though nearly every one of them is clear.
+    Windows are paired. The fall itself is tested and its logarithm too, and the larger
+    counts: an effect that acts in a few windows only (a reversal) makes a fall of few
+    large terms, whose mean is uncertain though nearly every one of them is clear.
     """
     small = 1e-12 * np.max(before) + 1e-300
+    both = (before - after, np.log((before + small) / (after + small)))
+    return np.max(
+        [
+            d.mean(axis=0) * np.sqrt(len(d)) / np.maximum(d.std(axis=0, ddof=1), 1e-300)
+            for d in both
+        ],
+        axis=0,
+    )
 
-    def clear(fall):
-        error = fall.std(axis=0, ddof=1) / np.sqrt(len(fall))
-        return fall.mean(axis=0) > BEYOND_CHANCE * np.maximum(error, 1e-300)
 
-    return clear(before - after) | clear(np.log((before + small) / (after + small)))
+def chance(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:
+    """Chance that errors [W, 3] fell as clearly as they did in their best channel."""
+    seen = np.isfinite(noise)
+    best = float(np.max(_falls(before[:, seen], after[:, seen])))
+    return float(min(2 * seen.sum() * stats.t.sf(best, len(before) - 1), 1.0))
 
 
 def _cost(sse: np.ndarray, noise: np.ndarray) -> float:

@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.io
+from hydrojax.identify import run as running
 
 from hydrojax import __version__, cli
-from hydrojax.identify import run as running
 
 RIG = """\
 name = "bench"

@@ -12,7 +12,7 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_notebook_runs(path):
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=400, resources={"metadata": {"path": "."}}).execute()
+    NotebookClient(notebook, timeout=400).execute()
     drawn = [
         output
         for cell in notebook.cells
