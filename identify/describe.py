@@ -9,9 +9,9 @@ from scipy import signal
 
 from .outcome import Unexplained
 
-BINS = 24
+BINS = 16
 """Quantiles of a signal between which the residual's mean is compared."""
-FOLLOWS = 0.05
+FOLLOWS = 0.08
 """Share of the residual's square that a signal's bins must hold to be named."""
 LINE = 12.0
 """Height of a spectral line above the median of the spectrum to be named."""
@@ -31,19 +31,31 @@ def unexplained(
     a cause: what it follows is where an engineer would look first.
     """
     excess = float(np.sqrt(max(np.mean(residual**2) - noise**2, 0.0)))
-    shares = {name: dependence(residual, s) for name, s in signals.items()}
-    line, height = spectral_line(residual, tick)
-    best = max(shares, key=lambda n: shares[n]) if shares else ""
     size = f"{channel} stays {_size(excess, unit)} RMS above its noise"
+    shares = {name: dependence(residual, s) for name, s in signals.items()}
+    best = max(shares, key=lambda n: shares[n], default="")
     if best and shares[best] > FOLLOWS:
         says = (
             f"{size}; {100 * shares[best]:.0f} % of what is left goes with {best}, "
             "more than with any other signal of the log"
         )
         return Unexplained(channel, excess, unit, best, says)
+    line, height = spectral_line(residual, tick)
     if height > LINE:
         says = f"{size}; it stands out as a line near {line:.3g} Hz"
         return Unexplained(channel, excess, unit, "frequency", says)
+    loud = np.log(residual**2 + (0.1 * noise) ** 2)
+    loud = loud - loud.mean()
+    swell = {name: dependence(loud, np.abs(s)) for name, s in signals.items()}
+    best = max(swell, key=lambda n: swell[n], default="")
+    if best and swell[best] > FOLLOWS:
+        high = np.abs(signals[best]) > np.median(np.abs(signals[best]))
+        where = "large" if loud[high].mean() > loud[~high].mean() else "small"
+        says = (
+            f"{size}; its sign goes with none of the log's signals, but it is larger "
+            f"where {best} is {where}"
+        )
+        return Unexplained(channel, excess, unit, best, says)
     says = f"{size}; it goes with none of the log's signals and has no line"
     return Unexplained(channel, excess, unit, "none", says)
 
@@ -51,18 +63,22 @@ def unexplained(
 def dependence(residual: np.ndarray, s: np.ndarray) -> float:
     """Share of the residual's square held by its means between quantiles of `s`.
 
-    Less what chance alone would hold in as many bins, with windows as the units.
+    Both [W, T]. Less what the same sum holds by chance, when the signal's windows are
+    exchanged among each other.
     """
-    r, s = residual.ravel(), s.ravel()
     edges = np.unique(np.quantile(s, np.linspace(0, 1, BINS + 1)[1:-1]))
     if edges.size < 2:
         return 0.0
     index = np.searchsorted(edges, s)
-    count = np.bincount(index, minlength=edges.size + 1)
-    total = np.bincount(index, weights=r, minlength=edges.size + 1)
-    held = np.sum(total**2 / np.maximum(count, 1)) - r.sum() ** 2 / r.size
-    chance = edges.size / max(residual.shape[0] - 1, 1)
-    return float(max(held / max(np.sum(r**2), 1e-300) - chance, 0.0))
+    count = np.maximum(np.bincount(index.ravel()), 1)
+
+    def held(index):
+        total = np.bincount(index.ravel(), weights=residual.ravel())
+        return np.sum(total**2 / count[: total.size])
+
+    draw = np.random.default_rng(0)
+    chance = np.mean([held(index[draw.permutation(len(index))]) for _ in range(8)])
+    return float(max((held(index) - chance) / max(np.sum(residual**2), 1e-300), 0.0))
 
 
 def spectral_line(residual: np.ndarray, tick: float) -> tuple[float, float]:
