@@ -43,14 +43,16 @@ Out = Annotated[Path, typer.Option(help="Folder for the report and its figures."
 def _progress() -> Iterator[Callable[[str], None]]:
     """A line that says what is being done, and for how long it has been."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=errors, transient=True) as bar:
+    quiet = not errors.is_terminal  # else a log file gets an empty line
+    with Progress(*columns, console=errors, transient=True, disable=quiet) as bar:
         task = bar.add_task("read the logs")
         yield lambda what: bar.update(task, description=what)
 
 
 def _check_out(out: Path) -> None:
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file: name a folder with --out")
+    for path in (out, *out.parents):
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file: name a folder with --out")
 
 
 @app.command()

@@ -66,6 +66,7 @@ def dependence(residual: np.ndarray, s: np.ndarray) -> float:
     Both [W, T]. Less what the same sum holds by chance, when the signal's windows are
     exchanged among each other.
     """
+    residual = residual - residual.mean()
     edges = np.unique(np.quantile(s, np.linspace(0, 1, BINS + 1)[1:-1]))
     if edges.size < 2:
         return 0.0

@@ -25,9 +25,10 @@ LEAD = 20
 SETTLE = 0.5
 """Seconds at the head of a segment that no window takes: the bristle's start is
 unknown."""
-QUIET = {"u": 0.1, "pressures": 0.001, "P": 0.001}
+QUIET = {"u": 0.1, "pressures": 0.005, "P": 0.001}
 """Share of the acceleration that may be noise of the position, by what drives. Where
-u drives, only acceleration is taken in that band; elsewhere force is compared in it."""
+u drives, only acceleration is taken in that band; where P does, force is compared in
+it, and elsewhere speed and acceleration are."""
 SLOWEST = 20.0
 """Hz below which motion is always followed: friction turns round that fast."""
 SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
@@ -166,18 +167,22 @@ def prepare(
         InputError: no motion, nothing to predict, logs that differ in their signals,
             or no stretch long enough for a window.
     """
+    if not 0 < horizon < 1e4:
+        raise InputError(f"--horizon {horizon}: give the length of a window in seconds")
     driven_by = _driver(logs, spec)
     notes = [f"{log.name}: {note}" for log in logs for note in log.notes]
     if band is None:
         band = common_band(logs, spec, driven_by)
     if np.isfinite(band):
-        what = "it is" if driven_by == "u" else "speed, acceleration and force are"
+        what = {"u": "it is", "P": "speed, acceleration and force are"}.get(
+            driven_by, "speed and acceleration are"
+        )
         notes.append(
             f"above {band:.0f} Hz acceleration would be noise of the position: {what} "
             "taken below that"
         )
     segments = [
-        _segment(i, log, spec, slice(*rows), sign, band)
+        _segment(i, log, spec, slice(*rows), driven_by, sign, band)
         for i, log in enumerate(logs)
         for rows in log.segments
     ]
@@ -266,7 +271,13 @@ def common_band(logs: Sequence[Log], spec: RigSpec, driven_by: str) -> float:
 
 
 def _segment(
-    i: int, log: Log, spec: RigSpec, rows: slice, sign: float, band: float
+    i: int,
+    log: Log,
+    spec: RigSpec,
+    rows: slice,
+    driven_by: str,
+    sign: float,
+    band: float,
 ) -> _Segment:
     t, x = log.time[rows], sign * _position(log, spec)[rows]
     get = {k: v[rows] for k, v in log.signals.items()}
@@ -281,9 +292,10 @@ def _segment(
         calm = smooth(t, x, band)
         a = calm(t, 2)
         if "u" not in get:
-            # Displacement stays as it is, for the bristle; what follows speed and
-            # acceleration is compared in their band.
+            # Displacement stays as it is, for the bristle.
             place, v = interpolate.make_interp_spline(t, x, k=1), calm(t, 1)
+        if driven_by == "P":
+            # An axis driven by a force is mostly inertia: compared in its band.
             P = np.stack([smooth(t, p, band)(t) for p in P.T], axis=1)
             F = smooth(t, F, band)(t) if np.ptp(F) > 0 else F
     return _Segment(

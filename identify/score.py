@@ -21,7 +21,8 @@ class Score:
     parameters free to follow; `step`: that step, in units of the columns; `p_value`:
     of the cluster-robust score test, for this candidate alone; `power`: the chance
     that the test would have seen the effect at a size that matters; `shape`: the values
-    of its shape at which it was scored; `share`: the gain over all of chi-square.
+    of its shape at which it was scored; `share`: the gain over all of chi-square;
+    `power_at_noise`: the power were the residual at its noise.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Score:
     p_value: float
     power: float
     share: float
+    power_at_noise: float
     shape: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -85,7 +87,7 @@ def score(
     H = projection.curvature(columns, columns)
     own = projection.total[columns, columns]
     if np.all(np.diag(H) <= 1e-9 * np.maximum(own, 1e-300)):
-        return Score(name, 0.0, np.zeros(len(columns)), 1.0, 0.0, 0.0)
+        return Score(name, 0.0, np.zeros(len(columns)), 1.0, 0.0, 0.0, 0.0)
     H = _solid(H)
     by_window = projection.scores(columns)
     g = by_window.sum(axis=0)
@@ -95,7 +97,9 @@ def score(
     p = float(stats.chi2.sf(chi2, len(columns)))
     gain = float(-g @ step)
     power = _power(H, spread, reach, matters, level)
-    return Score(name, gain, step, p, power, gain / projection.left)
+    share = gain / projection.left
+    at_noise = _power(H, H, reach, matters, level)
+    return Score(name, gain, step, p, power, share, at_noise)
 
 
 def _power(H, spread, reach, matters, level) -> float:

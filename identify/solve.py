@@ -55,17 +55,35 @@ class BoxedNewton(optx.AbstractDescent):
         return self._move(at, H, g, DAMPING / step_size), optx.RESULTS.successful
 
     def _move(self, at, H, g, damping):
+        """Minimise the damped quadratic inside the box: an active set by its duals."""
         d = jnp.diagonal(H)
         dead = d <= 1e-12 * jnp.max(d)
-        damped = H + jnp.diag(jnp.where(dead, 1.0, d * damping))
+        A = H + jnp.diag(jnp.where(dead, 1.0, d * damping))
+        size = jnp.diagonal(A)
         low, high = self.lower - at, self.upper - at
-        held, move = dead, jnp.zeros_like(at)
-        for _ in range(4):
-            rows = jnp.where(held[:, None], jnp.eye(at.size), damped)
-            full = jnp.linalg.solve(rows, jnp.where(held, move, -g))
-            held = held | (full < low) | (full > high)
-            move = jnp.clip(full, low, high)
-        return move
+
+        def better(one, other):
+            value = [m @ g + 0.5 * m @ A @ m for m in (one, other)]
+            return jnp.where(value[0] < value[1], one, other)
+
+        def turn(_, state):
+            move, best = state
+            # A bound holds a coordinate that is beyond it, or that would like to be,
+            # and lets it go when its gradient points inside.
+            wish = move - (g + A @ move) / size
+            at_low, at_high = wish < low, wish > high
+            held = dead | at_low | at_high
+            fixed = jnp.where(at_low, low, jnp.where(at_high, high, 0.0))
+            rows = jnp.where(held[:, None], jnp.eye(at.size), A)
+            move = jnp.linalg.solve(rows, jnp.where(held, fixed, -g))
+            return move, better(jnp.clip(move, low, high), best)
+
+        none = jnp.zeros_like(at)
+        free = jnp.linalg.solve(
+            jnp.where(dead[:, None], jnp.eye(at.size), A), jnp.where(dead, 0.0, -g)
+        )
+        start = (free, better(jnp.clip(free, low, high), none))
+        return jax.lax.fori_loop(0, 12, turn, start)[1]
 
 
 def _quiet(**_: Any) -> None:
@@ -142,8 +160,8 @@ def minimise(
     out = optx.least_squares(
         factor, solver, start, has_aux=True, max_steps=steps, throw=False
     )
-    done = out.result == optx.RESULTS.successful
     cost = 0.5 * jnp.sum(out.state.f_info.residual**2)
+    done = (out.result == optx.RESULTS.successful) & jnp.isfinite(cost)
     return Fit(out.value, cost, out.stats["num_steps"], done, out.aux)
 
 

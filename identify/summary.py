@@ -181,7 +181,7 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
                 name,
                 what,
                 first[name].p_value if name in first else p[name],
-                s.power,
+                s.power_at_noise if what == "added" else s.power,
                 s.share,
                 why,
             )  # fmt: skip

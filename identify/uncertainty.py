@@ -14,6 +14,12 @@ VAGUE = 0.5
 size, or of its scale where that is larger."""
 
 
+BLIND = 1e-10
+"""Eigenvalue of the scaled curvature below which a direction is not seen at all."""
+UNTOLD = 1e3
+"""Standard deviation, in units of the scales, given to such a direction."""
+
+
 @dataclass(frozen=True)
 class Belief:
     """Standard deviations (SI) of the free parameters inside their range, and words.
@@ -74,17 +80,16 @@ def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]
         if prior:
             H[i, i] += (problem.model.scale[columns[i]] / prior) ** 2
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    # What no column shows gets a huge variance, not a failed inverse.
     values, vectors = np.linalg.eigh(H / np.outer(size, size))
-    inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T / np.outer(size, size)
+    told = values > BLIND
+    strong = (vectors[:, told] / values[told]) @ vectors[:, told].T
+    strong /= np.outer(size, size)
     s = gram[:, columns, r]
     windows = int(np.count_nonzero(np.any(s != 0, axis=1)))
     few = windows / max(windows - len(columns), 1)
-    meat = few * s.T @ s
-    robust = inverse @ meat @ inverse
-    # A direction that no residual moves has no scores either: there the curvature
-    # alone says how little is known.
-    return np.where(np.diag(inverse)[:, None] > 1e9, inverse, robust), H
+    # A direction that no residual sees has no scores either.
+    nothing = vectors[:, ~told] @ vectors[:, ~told].T * UNTOLD**2
+    return strong @ (few * s.T @ s) @ strong + nothing, H
 
 
 def _at_end(name: str, end: str) -> str:
