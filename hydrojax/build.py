@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from .effects import EFFECTS
 from .friction import Friction
 from .hydraulics import Chambers, Lands
+from .named import get, put
 from .params import Effect, Spec, specs
-from .rig import Rig, add, bare_rig, get, put
+from .rig import Rig, add, bare_rig
 from .rigfile import RigSpec, read_rig
 
 LANDS = tuple(specs(Lands))

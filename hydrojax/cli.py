@@ -61,7 +61,7 @@ def identify(
     logs: Logs,
     validate: Annotated[
         list[Path] | None,
-        typer.Option(help="A log that takes no part in the fit; may be repeated."),
+        typer.Option(help="Logs that take no part in the fit: all words that follow."),
     ] = None,
     out: Out = Path("hydrojax-identify"),
     horizon: Horizon = 0.25,
@@ -84,7 +84,7 @@ def trace(
     logs: Logs,
     validate: Annotated[
         list[Path],
-        typer.Option(help="A log that takes no part in the fit; may be repeated."),
+        typer.Option(help="Logs that take no part in the fit: all words that follow."),
     ],
     out: Out = Path("hydrojax-trace"),
     horizon: Horizon = 0.25,
@@ -181,10 +181,24 @@ def options(
     """What holds for every command."""
 
 
+def _spread(words: list[str]) -> list[str]:
+    """Let `--validate` take several logs: repeat it before each word that follows."""
+    out, open_ = [], False
+    for word in words:
+        if word == "--validate":
+            open_ = True
+        elif open_ and not word.startswith("-"):
+            out += ["--validate", word]
+        else:
+            open_ = False
+            out.append(word)
+    return out
+
+
 def main() -> None:
     """Run the command line: 0 when it did its work, 2 on bad input."""
     try:
-        app()
+        app(_spread(sys.argv[1:]))
     except InputError as error:
         errors.print(f"hydrojax: {error}", style=None, markup=False, soft_wrap=True)
         sys.exit(2)

@@ -8,22 +8,19 @@ column, give its unit (which then wins over the file's) and turn its sign round.
 
 from __future__ import annotations
 
-import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pandas as pd
-import scipy.io
 from pydantic import BaseModel, ConfigDict
 
 from . import units
 from .errors import InputError
+from .tables import Column, File, read_table
 
 SIGNALS = {
     "time": "s", "u": "{u}", "psi": "rad", "x": "m", "v": "m/s", "P_a1": "Pa",
@@ -31,8 +28,13 @@ SIGNALS = {
 }  # fmt: skip
 """What a log may hold, and the SI unit; `{u}` is V or 1."""
 
+
 _MAY_REST = ("v", "P_s", "P_r", "F_d")  # a constant here is no fault of the log
+
+
 _LEAST_ROWS = 50
+
+
 _GAP = 2.5  # a step this many times the median is a gap
 
 
@@ -71,25 +73,6 @@ class Log:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Column:
-    label: str  # as the file has it, for messages
-    name: str
-    unit: str | None
-    values: Any
-
-
-@dataclass(frozen=True)
-class _File:
-    path: Path
-    columns: list[_Column]
-    header: int  # lines before the first row, 0 if rows are not lines
-
-    def row(self, index: int) -> str:
-        line = f" (line {index + 1 + self.header})" if self.header else ""
-        return f"row {index + 1}{line}"
-
-
 def read_log(
     path: str | Path,
     channels: Mapping[str, Channel] | None = None,
@@ -111,7 +94,7 @@ def read_log(
             (rows that share a stamp of a coarse clock are averaged).
     """
     path = Path(path)
-    file = _read(path)
+    file = read_table(path)
     found, notes = _assign(file, channels or {})
     arrays, stored = {}, {}
     for name, (column, unit, sign) in found.items():
@@ -152,104 +135,9 @@ def read_log(
     )
 
 
-def _read(path: Path) -> _File:
-    kinds = {
-        ".csv": ("CSV", _csv), ".csv.gz": ("gzipped CSV", _csv),
-        ".parquet": ("Parquet", _parquet), ".mat": ("MAT", _mat),
-    }  # fmt: skip
-    ending = next((e for e in kinds if path.name.lower().endswith(e)), None)
-    if ending is None:
-        raise InputError(f"{path}: not a kind of log; save it as {', '.join(kinds)}")
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; check the path")
-    if path.stat().st_size == 0:
-        raise InputError(f"{path}: the file is empty; export the log again")
-    kind, reader = kinds[ending]
-    try:
-        columns = reader(path)
-    except Exception as err:  # every library has its own kinds for a broken file
-        detail = (
-            " ".join(str(err).replace(f" '{path}'", "").split())[:100]
-            or type(err).__name__
-        )
-        raise InputError(
-            f"{path}: not a readable {kind} file ({detail}); export it again as {kind}"
-        ) from err
-    return _File(path, columns, header=1 if reader is _csv else 0)
-
-
-def _labelled(label: object, values: Any) -> _Column:
-    """A column called `name [unit]`."""
-    text = str(label).strip()
-    match = re.fullmatch(r"(.*?)\s*\[(.*)\]", text)
-    if match is None:
-        return _Column(text, text, None, values)
-    return _Column(text, match[1], match[2].strip() or None, values)
-
-
-def _csv(path: Path) -> list[_Column]:
-    options: dict[str, Any] = {
-        "compression": "gzip" if path.name.lower().endswith(".gz") else None,
-        "encoding": "utf-8-sig",
-        "skipinitialspace": True,
-        "header": None,
-        "skip_blank_lines": False,  # so that rows can be counted in lines
-        "index_col": False,
-    }
-    labels = pd.read_csv(path, nrows=1, dtype=str, **options).iloc[0].fillna("")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", pd.errors.ParserWarning)  # cells lost
-        frame = pd.read_csv(
-            path, skiprows=1, names=range(len(labels)), low_memory=False, **options
-        )
-    filled = np.flatnonzero(frame.notna().any(axis=1))
-    frame = frame.iloc[: filled[-1] + 1 if len(filled) else 0]
-    return [_labelled(label, frame[i]) for i, label in enumerate(labels)]
-
-
-def _parquet(path: Path) -> list[_Column]:
-    frame = pd.read_parquet(path)
-    if any(name is not None for name in frame.index.names):
-        frame = frame.reset_index()
-    return [_labelled(name, frame.iloc[:, i]) for i, name in enumerate(frame.columns)]
-
-
-def _mat(path: Path) -> list[_Column]:
-    if h5py.is_hdf5(path):
-        with h5py.File(path, "r") as file:
-            tree = _from_hdf5(file)
-    else:
-        tree = scipy.io.loadmat(path, simplify_cells=True)
-        tree = {k: v for k, v in tree.items() if not k.startswith("__")}
-    inner = tree.pop("log", {})
-    tree |= inner if isinstance(inner, dict) else {"log": inner}
-    given = tree.pop("units", {})
-    said = {k: v for k, v in given.items() if isinstance(v, str)}
-    for name in list(tree):
-        if f"{name}_unit" in tree:
-            said[name] = str(tree.pop(f"{name}_unit"))
-    return [_Column(k, k, said.get(k, "").strip() or None, v) for k, v in tree.items()]
-
-
-def _from_hdf5(group: h5py.Group) -> dict[str, Any]:
-    """A v7.3 file or struct as a dict; its text is uint16 arrays."""
-    tree = {}
-    for name, item in group.items():
-        if name.startswith("#"):  # MATLAB's store of cells
-            continue
-        if isinstance(item, h5py.Group):
-            tree[name] = _from_hdf5(item)
-        elif isinstance(item, h5py.Dataset):
-            value: Any = item[()]
-            if item.attrs.get("MATLAB_class") == b"char":
-                value = "".join(map(chr, np.ravel(value, order="F")))
-            tree[name] = value.decode() if isinstance(value, bytes) else value
-    return tree
-
-
 def _assign(
-    file: _File, channels: Mapping[str, Channel]
-) -> tuple[dict[str, tuple[_Column, str | None, float]], list[str]]:
+    file: File, channels: Mapping[str, Channel]
+) -> tuple[dict[str, tuple[Column, str | None, float]], list[str]]:
     """Each signal's column, unit and sign; remarks."""
     found, notes = {}, []
     for name in SIGNALS:
@@ -275,7 +163,7 @@ def _assign(
     return found, notes
 
 
-def _missing(file: _File, name: str, wanted: str) -> str:
+def _missing(file: File, name: str, wanted: str) -> str:
     labels = [c.label for c in file.columns]
     near = get_close_matches(wanted, [c.name for c in file.columns], n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"it has {labels[:12]}"
@@ -289,7 +177,7 @@ def _missing(file: _File, name: str, wanted: str) -> str:
 
 
 def _si(
-    file: _File, name: str, column: _Column, unit: str | None
+    file: File, name: str, column: Column, unit: str | None
 ) -> tuple[np.ndarray, str]:
     """A signal in SI, [n], NaN where it has no finite number, and its unit."""
     where = f"{file.path}: column {column.label!r}"
@@ -311,7 +199,7 @@ def _si(
     return units.to_si(values, unit, want, where), want
 
 
-def _numbers(file: _File, where: str, values: Any) -> np.ndarray:
+def _numbers(file: File, where: str, values: Any) -> np.ndarray:
     """A column's cells as floats, [n], NaN where empty or infinite."""
     shape = np.shape(values)
     if not shape or np.size(values) != max(shape):
@@ -331,7 +219,7 @@ def _numbers(file: _File, where: str, values: Any) -> np.ndarray:
     return np.where(np.isfinite(result), result, np.nan)
 
 
-def _check_time(file: _File, label: str, time: np.ndarray) -> bool:
+def _check_time(file: File, label: str, time: np.ndarray) -> bool:
     """Refuse time that is missing, falls or repeats; whether rows are to be merged.
 
     A clock is coarse if it can be seen to round: the stamps keep to ticks about as
@@ -367,7 +255,7 @@ def _check_time(file: _File, label: str, time: np.ndarray) -> bool:
     )
 
 
-def _check_values(file: _File, name: str, label: str, values: np.ndarray) -> list[str]:
+def _check_values(file: File, name: str, label: str, values: np.ndarray) -> list[str]:
     """Refuse a column without numbers or movement; a remark if it may rest."""
     known = values[~np.isnan(values)]
     if not len(known):

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..named import get, hydraulic_names, parameter_specs, put, scales
 from ..replay import Motion, Windows, friction_memory, pressures, readings
-from ..rig import Rig, get, hydraulic_names, parameter_specs, put, scales
+from ..rig import Rig
 
 MEMORY = ("z_ss", "L_rate")
 """The parameters on which bristle and filtered speed depend."""

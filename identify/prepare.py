@@ -7,32 +7,38 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import interpolate, signal
+from scipy import interpolate
 
 from ..errors import InputError
 from ..replay import Motion, Windows
-from ..rig import bare_rig
 from ..rigfile import RigSpec
 from ..signals import Log
-
-CHANNELS = ("P_a1", "P_a2", "F")
-"""What a replay can predict, in the order of `Windows.measured`."""
+from .measured import (
+    QUIET,
+    channel_noise,
+    force_areas,
+    motion_band,
+    smooth,
+    supply_noise_of,
+)
 
 PRE = 60
 """Ticks of command ahead of a window, for whatever on its path has memory."""
+
+
 LEAD = 20
 """Ticks at the head of a window that are run but not compared."""
+
+
 SETTLE = 0.5
 """Seconds at the head of a segment that no window takes: the bristle's start is
 unknown."""
-QUIET = {"u": 0.1, "pressures": 0.005, "P": 0.001}
-"""Share of the acceleration that may be noise of the position, by what drives. Where
-u drives, only acceleration is taken in that band; where P does, force is compared in
-it, and elsewhere speed and acceleration are."""
-SLOWEST = 20.0
-"""Hz below which motion is always followed: friction turns round that fast."""
+
+
 SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
 """Supply and return pressure (Pa) where neither log nor rig file has them."""
+
+
 QUARTERS = 4
 """Steps of the bristle per tick."""
 
@@ -68,19 +74,6 @@ class Data:
     notes: tuple[str, ...]
 
 
-def estimate_noise(y: np.ndarray) -> float:
-    """Standard deviation of white noise on a smooth signal, in the unit of `y`.
-
-    Sixth differences remove what is smooth; the median of their size is robust to
-    jumps. Not below what rounding to the signal's own resolution makes.
-    """
-    weights = np.array([1, -6, 15, -20, 15, -6, 1.0])
-    d = np.convolve(y, weights, "valid") / np.sqrt(np.sum(weights**2))
-    steps = np.diff(np.unique(y))
-    resolution = np.min(steps[steps > 1e-12 * np.ptp(y)], initial=np.ptp(y))
-    return float(max(np.median(np.abs(d)) / 0.6745, resolution / np.sqrt(12)))
-
-
 def _position(log: Log, spec: RigSpec) -> np.ndarray:
     if "x" in log.signals:
         return log.signals["x"] - spec.geometry.get("x_mid", 0.0)
@@ -92,38 +85,6 @@ def _position(log: Log, spec: RigSpec) -> np.ndarray:
             )
         return log.signals["psi"] * spec.geometry["radius"]
     raise InputError(f"{log.name}: no motion: give a column x [m] or psi [rad]")
-
-
-def motion_band(t: np.ndarray, x: np.ndarray, quiet: float) -> float | None:
-    """Frequency (Hz) up to which acceleration can be had from a position, or None.
-
-    The spectrum of a position falls until it meets the flat floor of its noise, which
-    acceleration raises with the fourth power of frequency. The band is where noise
-    brings at most the share `quiet` of the acceleration that stands clear of it; None
-    if that is all of it.
-    """
-    h = float(np.median(np.diff(t)))
-    even = np.interp(np.arange(t[0], t[-1], h), t, x)
-    f, power = signal.welch(even, 1 / h, nperseg=min(2048, even.size), detrend="linear")
-    floor = np.median(power[f > 0.7 * f[-1]])
-    rise = (2 * np.pi * f) ** 4
-    step = f[1]
-    clear = power > 10 * floor
-    size = np.sum((power * rise)[clear]) * step
-    noise = np.cumsum(floor * rise) * step
-    below = np.nonzero(noise <= quiet**2 * size)[0]
-    cut = float(f[below[-1]]) if below.size else float(f[1])
-    cut = max(cut, SLOWEST)
-    return None if cut > 0.4 / h else cut
-
-
-def smooth(t: np.ndarray, y: np.ndarray, cut: float) -> interpolate.BSpline:
-    """A smoothing spline that passes what is below `cut` Hz; ticks may be uneven.
-
-    Its response is 1/(1 + (f/cut)^4), without phase.
-    """
-    h = float(np.median(np.diff(t)))
-    return interpolate.make_smoothing_spline(t, y, lam=1 / (h * (2 * np.pi * cut) ** 4))
 
 
 @dataclass(frozen=True)
@@ -202,14 +163,14 @@ def prepare(
     windows, P_0 = _windows(segments, cuts, T, pre, lead, n)
     travel = (float(windows.x.min()), float(windows.x.max()))
     if noise is None:
-        noise = _noise(logs, spec, driven_by)
+        noise = channel_noise(logs, spec, driven_by)
     return Data(
         motion=_motion(segments, h),
         windows=windows,
         P_0=P_0,
         log=np.array([segments[k].log for k, _ in cuts]),
         noise=noise,
-        supply_noise=_supply_noise(logs, spec),
+        supply_noise=supply_noise_of(logs, spec),
         driven_by=driven_by,
         band=band,
         travel=travel,
@@ -283,7 +244,10 @@ def _segment(
     get = {k: v[rows] for k, v in log.signals.items()}
     zero = np.zeros(t.size)
     F = get.get("F", zero + spec.load.get("F", np.nan))
-    P = np.stack([get.get("P_a1", zero), get.get("P_a2", zero)], axis=1)
+    supply = {k: get.get(k, zero + spec.supply.get(k, v)) for k, v in SUPPLY.items()}
+    # Where u drives a log without pressures, they start midway: a first guess.
+    middle = (supply["P_s"] + supply["P_r"]) / 2 if "u" in get else zero
+    P = np.stack([get.get("P_a1", middle), get.get("P_a2", middle)], axis=1)
     if "P" in get and "P_a2" not in get:
         P = np.stack([zero, get["P"]], axis=1)
     place = interpolate.make_interp_spline(t, x, k=5)
@@ -305,12 +269,8 @@ def _segment(
         v=v,
         a=a,
         u=get.get("u", zero),
-        P_s=get["P_s"]
-        if "P_s" in get
-        else zero + spec.supply.get("P_s", SUPPLY["P_s"]),
-        P_r=get["P_r"]
-        if "P_r" in get
-        else zero + spec.supply.get("P_r", SUPPLY["P_r"]),
+        P_s=supply["P_s"],
+        P_r=supply["P_r"],
         P=P,
         F=F,
     )
@@ -406,51 +366,3 @@ def _windows(
             columns[name].append(value)
     windows = Windows(**{k: jnp.asarray(np.array(v)) for k, v in columns.items()})
     return windows, np.array(P_0)
-
-
-def _noise(logs: Sequence[Log], spec: RigSpec, driven_by: str) -> np.ndarray:
-    """Noise of each channel, from the rig file or the logs; inf where not compared."""
-    out = np.full(3, np.inf)
-    for c, name in enumerate(CHANNELS):
-        if name != "F" and driven_by != "u":
-            continue
-        if name != "F" and name not in logs[0].signals:
-            continue
-        if name == "F" and "F" not in logs[0].signals and "F" not in spec.load:
-            continue
-        if name in spec.sensors:
-            out[c] = spec.sensors[name]
-        else:
-            out[c] = _estimated(logs, spec, name, driven_by)
-    return out
-
-
-def _supply_noise(logs: Sequence[Log], spec: RigSpec) -> float:
-    if "P_s" not in logs[0].signals:
-        return 0.0
-    if "P_s" in spec.sensors:
-        return spec.sensors["P_s"]
-    moving = [p for log in logs if np.ptp(p := log.signals["P_s"]) > 0]
-    return float(np.median([estimate_noise(p) for p in moving])) if moving else 0.0
-
-
-def force_areas(spec: RigSpec) -> tuple[float, float]:
-    """Areas on which P_a1 and P_a2 push, m^2; see `bare_rig`."""
-    rig = bare_rig(spec.layout, spec.geometry)
-    return float(rig.force_area_1), float(rig.force_area_2)
-
-
-def _estimated(logs, spec, name, driven_by) -> float:
-    """Noise of a channel from the logs; with what the drive brings into a force."""
-    has = logs[0].signals
-
-    def of(signal):
-        return float(np.median([estimate_noise(log.signals[signal]) for log in logs]))
-
-    level = of(name) if name in has else 0.0
-    if name == "F" and driven_by != "u":
-        areas = dict(zip(("P_a1", "P_a2"), force_areas(spec), strict=True))
-        for drive, area in {**areas, "P": 1.0}.items():
-            if drive in has and area > 0:
-                level = float(np.hypot(level, area * of(drive)))
-    return level

@@ -19,19 +19,10 @@ from ..params import Effect, specs
 from ..rig import PARTS
 from ..rigfile import RigSpec
 from ..signals import Log, read_log
-from .fit import (
-    COULOMB,
-    Free,
-    Point,
-    Problem,
-    fit_force,
-    fit_jointly,
-    fit_pressures,
-    free_effect,
-    free_parameters,
-)
+from .fit import Point, fit_force, fit_jointly, fit_pressures
 from .outcome import Outcome
 from .prepare import Data, prepare, runs_backward
+from .problem import COULOMB, Free, Problem, free_effect, free_parameters
 from .starts import best_start
 from .summary import summarise
 from .trace import Tracing, trace

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .fit import Problem, run_starts
 from .misfit import Batch, basis
+from .problem import Problem, run_starts
 
 SPREAD = 0.3
 """Starts are drawn within this share of a parameter's size, inside its range."""

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..effects import EFFECTS
+from ..named import parameter_specs
 from ..params import Spec
-from ..rig import parameter_specs
 from ..units import with_command
 from . import describe
 from .fit import Point
+from .measured import CHANNELS
 from .outcome import (
     Candidate,
     Channel,
@@ -21,7 +22,7 @@ from .outcome import (
     Series,
     Unexplained,
 )
-from .prepare import CHANNELS, Data
+from .prepare import Data
 from .score import family
 from .trace import AT_NOISE, Tracing, status
 from .uncertainty import Belief, believe

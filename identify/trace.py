@@ -10,15 +10,8 @@ from scipy import stats
 
 from ..params import Effect, specs
 from ..rig import HYDRAULIC
-from .fit import (
-    PRESSURES,
-    Point,
-    Problem,
-    fit_force,
-    fit_jointly,
-    fit_pressures,
-    only,
-)
+from .fit import Point, fit_force, fit_jointly, fit_pressures, only
+from .problem import PRESSURES, Problem
 from .score import Projection, Score, family, score
 
 AT_NOISE = 1.1

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .fit import Point, Problem
+from .fit import Point
+from .problem import Problem
 
 VAGUE = 0.5
 """A parameter is not identified when its standard deviation exceeds this share of its

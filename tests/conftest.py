@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from hydrojax.backend import set_up_jax
+from hydrojax.named import put
 from hydrojax.replay import Motion, Windows
-from hydrojax.rig import Rig, bare_rig, put
+from hydrojax.rig import Rig, bare_rig
 from tests import generator
 
 CACHE_HOME = Path(tempfile.gettempdir()) / "hydrojax-tests"

@@ -449,3 +449,11 @@ def test_identify_writes_the_contracts_report(call, recorded, tmp_path):
     assert report["verdict"] in said.out
     for channel in report["channels"]:
         assert channel in said.out
+
+
+def test_validate_takes_all_the_logs_that_follow():
+    words = ["trace", "r", "a", "b", "--validate", "c", "d", "--out", "o", "--validate=e"]
+    assert cli._spread(words) == [
+        *("trace", "r", "a", "b", "--validate", "c", "--validate", "d"),
+        *("--out", "o", "--validate=e"),
+    ]

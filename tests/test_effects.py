@@ -21,9 +21,10 @@ from scipy.optimize import brentq
 from hydrojax.effects import EFFECTS
 from hydrojax.friction import Sliding
 from hydrojax.hydraulics import Point
+from hydrojax.named import get, parameter_specs, put
 from hydrojax.params import specs
 from hydrojax.replay import friction_memory, pressures, readings
-from hydrojax.rig import PLACES, add, get, parameter_specs, put
+from hydrojax.rig import PLACES, add
 
 SHAPES = {
     "gravity_load": {"radius": 0.085},

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from hydrojax.hydraulics import Chambers, Point, root_flow
-from hydrojax.rig import bare_rig, get, put
+from hydrojax.named import get, put
+from hydrojax.rig import bare_rig
 
 LANDS = ("c_p1", "c_n1", "c_p2", "c_n2")
 FAR = 1e-6

@@ -15,16 +15,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from hydrojax.identify import run, starts
-from hydrojax.identify.fit import Problem, fit, free_parameters
+from hydrojax.identify.fit import fit
+from hydrojax.identify.measured import estimate_noise, motion_band, smooth
 from hydrojax.identify.misfit import basis
 from hydrojax.identify.outcome import Outcome
-from hydrojax.identify.prepare import (
-    estimate_noise,
-    motion_band,
-    prepare,
-    runs_backward,
-    smooth,
-)
+from hydrojax.identify.prepare import prepare, runs_backward
+from hydrojax.identify.problem import Problem, free_parameters
 from hydrojax.identify.solve import minimise
 from hydrojax.identify.uncertainty import believe
 from scipy import optimize

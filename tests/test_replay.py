@@ -9,16 +9,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root_scalar
 
 from hydrojax.effects import EFFECTS
+from hydrojax.named import get, parameter_specs, put
 from hydrojax.replay import friction_memory, pressures, readings
-from hydrojax.rig import (
-    State,
-    Tick,
-    add,
-    bare_rig,
-    get,
-    parameter_specs,
-    put,
-)
+from hydrojax.rig import State, Tick, add, bare_rig
 
 DIFFERENTIAL = {"area_1": 1.96e-3, "area_2": 1.18e-3, "chamber_length": 0.2}
 NAMES = ("c_p1", "c_n1", "c_p2", "c_n2", "beta", "delta_1", "delta_2")

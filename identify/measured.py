@@ -1,0 +1,119 @@
+"""What a log's own noise is, and the band in which motion can be differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import interpolate, signal
+
+from ..rig import bare_rig
+from ..rigfile import RigSpec
+from ..signals import Log
+
+CHANNELS = ("P_a1", "P_a2", "F")
+"""What a replay can predict, in the order of `Windows.measured`."""
+
+
+QUIET = {"u": 0.1, "pressures": 0.005, "P": 0.001}
+"""Share of the acceleration that may be noise of the position, by what drives. Where
+u drives, only acceleration is taken in that band; where P does, force is compared in
+it, and elsewhere speed and acceleration are."""
+
+
+SLOWEST = 20.0
+"""Hz below which motion is always followed: friction turns round that fast."""
+
+
+def estimate_noise(y: np.ndarray) -> float:
+    """Standard deviation of white noise on a smooth signal, in the unit of `y`.
+
+    Sixth differences remove what is smooth; the median of their size is robust to
+    jumps. Not below what rounding to the signal's own resolution makes.
+    """
+    weights = np.array([1, -6, 15, -20, 15, -6, 1.0])
+    d = np.convolve(y, weights, "valid") / np.sqrt(np.sum(weights**2))
+    steps = np.diff(np.unique(y))
+    resolution = np.min(steps[steps > 1e-12 * np.ptp(y)], initial=np.ptp(y))
+    return float(max(np.median(np.abs(d)) / 0.6745, resolution / np.sqrt(12)))
+
+
+def motion_band(t: np.ndarray, x: np.ndarray, quiet: float) -> float | None:
+    """Frequency (Hz) up to which acceleration can be had from a position, or None.
+
+    The spectrum of a position falls until it meets the flat floor of its noise, which
+    acceleration raises with the fourth power of frequency. The band is where noise
+    brings at most the share `quiet` of the acceleration that stands clear of it; None
+    if that is all of it.
+    """
+    h = float(np.median(np.diff(t)))
+    even = np.interp(np.arange(t[0], t[-1], h), t, x)
+    f, power = signal.welch(even, 1 / h, nperseg=min(2048, even.size), detrend="linear")
+    floor = np.median(power[f > 0.7 * f[-1]])
+    rise = (2 * np.pi * f) ** 4
+    step = f[1]
+    clear = power > 10 * floor
+    size = np.sum((power * rise)[clear]) * step
+    noise = np.cumsum(floor * rise) * step
+    below = np.nonzero(noise <= quiet**2 * size)[0]
+    cut = float(f[below[-1]]) if below.size else float(f[1])
+    cut = max(cut, SLOWEST)
+    return None if cut > 0.4 / h else cut
+
+
+def smooth(t: np.ndarray, y: np.ndarray, cut: float) -> interpolate.BSpline:
+    """A smoothing spline that passes what is below `cut` Hz; ticks may be uneven.
+
+    Its response is 1/(1 + (f/cut)^4), without phase.
+    """
+    h = float(np.median(np.diff(t)))
+    return interpolate.make_smoothing_spline(t, y, lam=1 / (h * (2 * np.pi * cut) ** 4))
+
+
+def channel_noise(logs: Sequence[Log], spec: RigSpec, driven_by: str) -> np.ndarray:
+    """Noise of each channel, from the rig file or the logs; inf where not compared."""
+    out = np.full(3, np.inf)
+    for c, name in enumerate(CHANNELS):
+        if name != "F" and driven_by != "u":
+            continue
+        if name != "F" and name not in logs[0].signals:
+            continue
+        if name == "F" and "F" not in logs[0].signals and "F" not in spec.load:
+            continue
+        if name in spec.sensors:
+            out[c] = spec.sensors[name]
+        else:
+            out[c] = _estimated(logs, spec, name, driven_by)
+    return out
+
+
+def supply_noise_of(logs: Sequence[Log], spec: RigSpec) -> float:
+    """Noise of the measured supply pressure, Pa; 0 where the logs have none."""
+    if "P_s" not in logs[0].signals:
+        return 0.0
+    if "P_s" in spec.sensors:
+        return spec.sensors["P_s"]
+    moving = [p for log in logs if np.ptp(p := log.signals["P_s"]) > 0]
+    return float(np.median([estimate_noise(p) for p in moving])) if moving else 0.0
+
+
+def force_areas(spec: RigSpec) -> tuple[float, float]:
+    """Areas on which P_a1 and P_a2 push, m^2; see `bare_rig`."""
+    rig = bare_rig(spec.layout, spec.geometry)
+    return float(rig.force_area_1), float(rig.force_area_2)
+
+
+def _estimated(logs, spec, name, driven_by) -> float:
+    """Noise of a channel from the logs; with what the drive brings into a force."""
+    has = logs[0].signals
+
+    def of(signal):
+        return float(np.median([estimate_noise(log.signals[signal]) for log in logs]))
+
+    level = of(name) if name in has else 0.0
+    if name == "F" and driven_by != "u":
+        areas = dict(zip(("P_a1", "P_a2"), force_areas(spec), strict=True))
+        for drive, area in {**areas, "P": 1.0}.items():
+            if drive in has and area > 0:
+                level = float(np.hypot(level, area * of(drive)))
+    return level

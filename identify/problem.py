@@ -1,0 +1,298 @@
+"""What is fitted to what: a model, its free parameters, logs, and compiled programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..params import Spec
+from ..rig import Rig
+from ..rigfile import RigSpec
+from .misfit import (
+    Basis,
+    Batch,
+    Model,
+    Sums,
+    basis,
+    leftover,
+    slot_names,
+    sums,
+)
+from .prepare import Data
+from .solve import Fit, minimise
+
+SPARE = ((0, 0), (2, 3), (4, 9), (8, 20), (16, 40))
+"""Columns kept free for effects that a trace adds (hydraulic, other): the first that
+holds them is taken, so that few programs serve every fit."""
+
+
+COULOMB = ("k_cp", "k_cn")
+
+
+TIED = 1e-3
+"""How closely (N) a symmetric fit holds k_cp and k_cn together."""
+
+
+PRESSURES = np.array([True, True, False])
+"""Which channels are pressures."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that is to be found: where it starts and what it may be, SI."""
+
+    start: float
+    lower: float
+    upper: float
+    prior: float | None = None
+
+
+def free_parameters(spec: RigSpec) -> dict[str, Free]:
+    """What a rig file leaves to be found, effects it declares included."""
+    entries = dict(spec.parameters)
+    for effect, given in spec.effects.items():
+        entries |= {f"{effect}.{name}": e for name, e in given.items()}
+    return {name: Free(e.start, *e.range) for name, e in entries.items() if e.range}
+
+
+def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
+    """The parameters of an effect that a trace adds, from its declaration."""
+    return {
+        f"{name}.{field}": Free(s.default, s.lower, s.upper, s.prior)
+        for field, s in spec.items()
+    }
+
+
+def batch_of(data: Data) -> Batch:
+    """A fit's arrays from prepared logs."""
+    return Batch(
+        data.motion,
+        data.windows,
+        jnp.asarray(data.P_0),
+        jnp.asarray(data.noise),
+        jnp.asarray(data.supply_noise),
+        jnp.ones(data.P_0.shape[0]),
+    )
+
+
+def _gram(
+    model: Model,
+    values: Array,
+    directions: Basis,
+    prior: tuple[Array, Array],
+    batch: Batch,
+    simulate: bool,
+    d: Array,
+) -> tuple[Array, Sums]:
+    """Gram matrix at `values` moved by `d` along the directions, with priors; and the
+    sums there, without the matrices of the single windows.
+    """
+    k_1 = directions.hydraulic.shape[1]
+    move = jnp.concatenate([directions.hydraulic @ d[:k_1], directions.other @ d[k_1:]])
+    at = sums(model, values + move, directions, batch, simulate)
+    total = jnp.sum(at.gram, 0)
+    slope, at_zero = prior  # what is known beforehand is more residual rows
+    rows = jnp.concatenate([slope, (slope @ d + at_zero)[:, None]], axis=1)
+    return total + rows.T @ rows, at._replace(gram=at.gram[:, :0])
+
+
+@eqx.filter_jit
+def _run(model, values, directions, prior, lower, upper, batch, simulate):
+    gram = partial(_gram, model, values, directions, prior, batch, simulate)
+    return minimise(gram, jnp.zeros_like(lower), lower, upper)
+
+
+@eqx.filter_jit
+def _sums(model, values, directions, batch, simulate):
+    return sums(model, values, directions, batch, simulate)
+
+
+@eqx.filter_jit
+def _leftover(model, values, batch, simulate):
+    return leftover(model, values, batch, simulate)
+
+
+@eqx.filter_jit
+def run_starts(
+    model: Model,
+    values: Array,
+    starts: Array,
+    directions: Basis,
+    lower: Array,
+    upper: Array,
+    batch: Batch,
+    simulate: bool,
+) -> Fit:
+    """Fits from several starts [m, k] at once, vmapped; in units of the directions."""
+    none = (jnp.zeros((0, lower.size)), jnp.zeros(0))
+
+    def one(start):
+        gram = partial(_gram, model, values, directions, none, batch, simulate)
+        return minimise(gram, start, lower, upper)
+
+    return jax.vmap(one)(starts)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a fit is given: the model, what may be free, and the data.
+
+    `declared` counts the free parameters of the rig file, hydraulic and other.
+
+    `symmetric` holds k_cp and k_cn equal, for logs that do not tell a difference of
+    the two from an offset k_0.
+    """
+
+    model: Model
+    free: Mapping[str, Free]
+    batch: Batch
+    declared: tuple[int, int]
+    simulate: bool
+    symmetric: bool = False
+
+    @classmethod
+    def of(cls, rig: Rig, free: Mapping[str, Free], data: Data) -> Problem:
+        """The problem of fitting `free` on prepared logs."""
+        model = Model.of(rig)
+        first = sum(model.names.index(n) < model.hydraulic for n in free)
+        declared = (first, len(free) - first)
+        return cls(model, free, batch_of(data), declared, data.driven_by == "u")
+
+    def slots(self, free: Sequence[str]) -> tuple[int, int]:
+        """Columns, hydraulic and other, of the program that fits these parameters."""
+        need = (len(self.side(free, True)), len(self.side(free, False)))
+        sizes = [
+            (self.declared[0] + a, self.declared[1] + b)
+            for a, b in SPARE[len(self.free) > sum(self.declared) :]
+        ]
+        return next(s for s in sizes if need[0] <= s[0] and need[1] <= s[1])
+
+    def solve(
+        self,
+        values: np.ndarray,
+        free: Sequence[str] | None = None,
+        noise: np.ndarray | None = None,
+        simulate: bool | None = None,
+    ) -> tuple[np.ndarray, Fit]:
+        """Move `free` from `values` to the best fit; returns all values, and how.
+
+        `noise` and `simulate` stand in for the problem's own where a part of the
+        model is fitted by itself.
+        """
+        free = tuple(self.free if free is None else free)
+        slots = self.slots(free)
+        columns = slot_names(self.model, free, slots)
+        index = np.array([self.model.names.index(n) if n else 0 for n in columns])
+        scale = self.model.scale[index]
+        at = values[index]
+        spare = Free(0.0, 0.0, 0.0)
+        given = [self.free[n] if n else spare for n in columns]
+        lower = np.array([f.lower for f in given])
+        upper = np.array([f.upper for f in given])
+        used = np.array([n is not None for n in columns])
+
+        def boxed(bound):
+            return jnp.asarray(np.where(used, (bound - at) / scale, 0.0))
+
+        batch = self.batch
+        if noise is not None:
+            batch = batch._replace(noise=jnp.asarray(noise))
+        out = _run(
+            self.model,
+            jnp.asarray(values),
+            basis(self.model, free, slots),
+            self._prior(columns, at, scale),
+            boxed(lower),
+            boxed(upper),
+            batch,
+            self.simulate if simulate is None else simulate,
+        )
+        moved = values.copy()
+        step = np.asarray(out.at) * scale
+        for i, name in enumerate(columns):
+            if name:
+                # Clipped again in SI: the box's corner may be off by rounding.
+                moved[index[i]] = np.clip(at[i] + step[i], lower[i], upper[i])
+        return moved, out
+
+    def _prior(self, columns, at, scale) -> tuple[Array, Array]:
+        """Residual rows of what is known beforehand: slope [k+1, k], value [k+1].
+
+        One row per column with a prior, and one that ties k_cp to k_cn.
+        """
+        slope, value = np.zeros((len(columns) + 1, len(columns))), []
+        for i, name in enumerate(columns):
+            known = self.free[name].prior if name else None
+            slope[i, i] = scale[i] / known if known else 0.0
+            value.append((at[i] - self.free[name].start) / known if known else 0.0)
+        pair = [columns.index(n) for n in COULOMB if n in columns]
+        difference = 0.0
+        if self.symmetric and len(pair) == 2:
+            slope[-1, pair] = scale[pair[0]] / TIED, -scale[pair[1]] / TIED
+            difference = (at[pair[0]] - at[pair[1]]) / TIED
+        return jnp.asarray(slope), jnp.asarray([*value, difference])
+
+    def sums_at(self, values: np.ndarray, noise: np.ndarray | None = None) -> Sums:
+        """The windows' sums at `values`, along every parameter of the model."""
+        batch = self.batch
+        if noise is not None:
+            batch = batch._replace(noise=jnp.asarray(noise))
+        n = self.model.hydraulic
+        every = basis(self.model, self.model.names, (n, len(self.model.names) - n))
+        return self._evaluate(values, every, batch)
+
+    def residuals_at(self, values: np.ndarray) -> np.ndarray:
+        """Measured minus replayed, [W, T, 3], SI.
+
+        The windows' initial pressures are corrected twice: logs that take no part in
+        a fit come with a first guess only, too far off for one linear step.
+        """
+        batch, at = self.batch, jnp.asarray(values)
+        _, error = _leftover(self.model, at, batch, self.simulate)
+        batch = batch._replace(P_0=batch.P_0 - error)
+        return np.asarray(_leftover(self.model, at, batch, self.simulate)[0])
+
+    def errors_at(self, values: np.ndarray) -> np.ndarray:
+        """Squared residuals by window and channel, [W, 3], SI."""
+        return np.sum(self.residuals_at(values) ** 2, axis=1)
+
+    def _evaluate(self, values, directions, batch) -> Sums:
+        values = jnp.asarray(values)
+        return _sums(self.model, values, directions, batch, self.simulate)
+
+    def restarted(self, at: Sums) -> Problem:
+        """The problem with each window's initial pressures moved to their estimate."""
+        batch = self.batch
+        return replace(self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :2, -1]))
+
+    def initial_values(self) -> np.ndarray:
+        """The rig's values, with every free parameter at its start."""
+        values = np.array(self.model.values)
+        for name, f in self.free.items():
+            values[self.model.names.index(name)] = f.start
+        return values
+
+    @property
+    def sees_pressures(self) -> bool:
+        """Whether the pressures are simulated, and compared with the log's."""
+        noise = np.asarray(self.batch.noise)
+        return self.simulate and bool(np.any(np.isfinite(noise) & PRESSURES))
+
+    def side(self, names: Sequence[str], hydraulic: bool) -> tuple[str, ...]:
+        """Those of the names on which the pressures depend, or the others."""
+        n = self.model.hydraulic
+        return tuple(x for x in names if (self.model.names.index(x) < n) == hydraulic)
+
+    def rms(self, sse: Array | np.ndarray) -> np.ndarray:
+        """Root mean square by channel, [3], SI, of squared residuals [W, 3]."""
+        ticks = self.batch.windows.measured.shape[1]
+        return np.sqrt(
+            np.sum(np.asarray(sse), axis=0) / (np.sum(self.batch.weight) * ticks)
+        )
