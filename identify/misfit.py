@@ -8,12 +8,13 @@ pressures eliminated, and the large Jacobian is never stored beyond that.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 
 from ..named import get, hydraulic_names, parameter_specs, put, scales
 from ..replay import Motion, Windows, friction_memory, pressures, readings
@@ -26,6 +27,9 @@ START_SPREAD = 3e5
 """Prior on a window's initial pressure about its first guess, Pa: wide, it only keeps
 a chamber that no channel sees in place."""
 
+
+PIECE = 256
+"""Windows that are worked on side by side."""
 
 SUPPLY_BLOCKS = 3
 """Pieces of a window in each of which the supply's measurement error is a constant."""
@@ -135,8 +139,58 @@ def predict(rig: Rig, batch: Batch, simulate: bool) -> Array:
     return readings(rig, w, *P, *friction_memory(rig, batch.motion))
 
 
+class Recalled(NamedTuple):
+    """Bristle and filtered speed over the whole log, [S, N] each, and their
+    derivatives by each parameter of `MEMORY`.
+    """
+
+    state: tuple[Array, Array]
+    by: tuple[tuple[Array, Array], ...]
+
+
+def recall(model: Model, values: Array, motion: Motion) -> Recalled:
+    """What friction remembers of the motion: once for all windows."""
+    here = put(model.rig, model.names, values)
+
+    def memory(of):
+        return friction_memory(put(here, MEMORY, of), motion)
+
+    at = get(here, MEMORY)
+    by = tuple(jax.jvp(memory, (at,), (row,))[1] for row in jnp.eye(len(MEMORY)))
+    return Recalled(memory(at), by)
+
+
+def _in_pieces(part: Callable[[Batch], PyTree], batch: Batch) -> PyTree:
+    """`part` of a batch, in pieces of `PIECE` windows one after the other if it is
+    long: memory then does not grow with the length of the logs.
+    """
+    count = batch.P_0.shape[0]
+    if count <= PIECE:
+        return part(batch)
+    pieces = -(-count // PIECE)
+
+    def cut(a):
+        # The last piece is filled with copies of the last window.
+        index = np.minimum(np.arange(pieces * PIECE), count - 1)
+        return a[index].reshape(pieces, PIECE, *a.shape[1:])
+
+    own = jax.tree.map(cut, (batch.windows, batch.P_0, batch.weight))
+
+    def one(piece):
+        windows, P_0, weight = piece
+        return part(batch._replace(windows=windows, P_0=P_0, weight=weight))
+
+    out = jax.lax.map(one, own)
+    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], out)
+
+
 def sensitivities(
-    model: Model, values: Array, directions: Basis, batch: Batch, simulate: bool
+    model: Model,
+    values: Array,
+    directions: Basis,
+    batch: Batch,
+    simulate: bool,
+    recalled: Recalled | None = None,
 ) -> tuple[Array, Array]:
     """Predictions [W, T, 3] and their derivatives [k + NUISANCE, W, T, 3].
 
@@ -158,15 +212,8 @@ def sensitivities(
         moved = w._replace(P_s=w.P_s + of_mean * supply[block])
         return pressures(at, moved, batch.P_0 + P_shift)
 
-    def memory(of):
-        return friction_memory(put(rig, MEMORY, of), batch.motion)
-
     here = put(rig, names, values)
-    remembered = get(here, MEMORY)
-    state = memory(remembered)
-    d_state = [
-        jax.jvp(memory, (remembered,), (row,))[1] for row in jnp.eye(len(MEMORY))
-    ]
+    state, d_state = recalled or recall(model, values, batch.motion)
     if simulate:
         zero = (jnp.zeros(k_1), jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS))
         P, d_P = jax.vmap(
@@ -204,7 +251,17 @@ def sums(
     model: Model, values: Array, directions: Basis, batch: Batch, simulate: bool
 ) -> Sums:
     """The windows' Gram matrices at `values` along `directions`; see `Sums`."""
-    y, dy = sensitivities(model, values, directions, batch, simulate)
+    recalled = recall(model, values, batch.motion)
+
+    def part(piece):
+        y, dy = sensitivities(model, values, directions, piece, simulate, recalled)
+        return _sums(piece, y, dy)
+
+    return _in_pieces(part, batch)
+
+
+def _sums(batch: Batch, y: Array, dy: Array) -> Sums:
+    """Reduce predictions and their derivatives to each window's sums."""
     seen = jnp.isfinite(batch.noise)
     white = jnp.where(seen, 1 / jnp.where(seen, batch.noise, 1.0), 0.0)
     residual = jnp.where(seen, batch.windows.measured - y, 0.0)
@@ -251,7 +308,16 @@ def leftover(
     """
     n = len(model.names)
     none = Basis(jnp.zeros((model.hydraulic, 0)), jnp.zeros((n - model.hydraulic, 0)))
-    y, dy = sensitivities(model, values, none, batch, simulate)
+    recalled = recall(model, values, batch.motion)
+
+    def part(piece):
+        y, dy = sensitivities(model, values, none, piece, simulate, recalled)
+        return _leftover_of(piece, y, dy)
+
+    return _in_pieces(part, batch)
+
+
+def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:
     seen = jnp.isfinite(batch.noise)
     white = jnp.where(seen, 1 / jnp.where(seen, batch.noise, 1.0), 0.0)
     residual = jnp.where(seen, batch.windows.measured - y, 0.0)

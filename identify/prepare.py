@@ -35,6 +35,8 @@ SETTLE = 0.5
 unknown."""
 
 
+MOST_TICKS = 80_000
+"""Ticks that a fit or a check takes in: more only cost time."""
 SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
 """Supply and return pressure (Pa) where neither log nor rig file has them."""
 
@@ -160,6 +162,14 @@ def prepare(
             f"{SETTLE + (pre + lead + T) * h:.2g} s: give a longer log or a shorter "
             "--horizon"
         )
+    most = max(MOST_TICKS // (lead + T), 1)
+    if len(cuts) > most:
+        notes.append(
+            f"{most} windows of {len(cuts)}, spread evenly, were used: the logs hold "
+            "more than a fit needs"
+        )
+        spread = np.linspace(0, len(cuts) - 1, most).astype(int)
+        cuts = [cuts[i] for i in spread]
     windows, P_0 = _windows(segments, cuts, T, pre, lead, n)
     travel = (float(windows.x.min()), float(windows.x.max()))
     if noise is None:
