@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from rich.console import Console
@@ -53,6 +54,9 @@ def _check_out(out: Path) -> None:
     for path in (out, *out.parents):
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file: name a folder with --out")
+    there = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not os.access(there, os.W_OK):
+        raise InputError(f"{out}: cannot be written to: name another folder with --out")
 
 
 @app.command()
@@ -187,6 +191,9 @@ def _spread(words: list[str]) -> list[str]:
     for word in words:
         if word == "--validate":
             open_ = True
+        elif word.startswith("--validate="):
+            open_ = True
+            out.append(word)
         elif open_ and not word.startswith("-"):
             out += ["--validate", word]
         else:
@@ -195,13 +202,19 @@ def _spread(words: list[str]) -> list[str]:
     return out
 
 
+def _refuse(error: Exception) -> NoReturn:
+    errors.print(f"hydrojax: {error}", style=None, markup=False, soft_wrap=True)
+    sys.exit(2)
+
+
 def main() -> None:
     """Run the command line: 0 when it did its work, 2 on bad input."""
     try:
         app(_spread(sys.argv[1:]))
     except InputError as error:
-        errors.print(f"hydrojax: {error}", style=None, markup=False, soft_wrap=True)
-        sys.exit(2)
+        _refuse(error)
+    except OSError as error:  # a disk that is full, a folder that went away
+        _refuse(error)
 
 
 if __name__ == "__main__":

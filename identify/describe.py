@@ -87,12 +87,15 @@ def spectral_line(residual: np.ndarray, tick: float) -> tuple[float, float]:
 
     The height is above a running median of the spectrum.
     """
-    f, power = signal.periodogram(residual, 1 / tick, window="hann", axis=-1)
-    mean = power.mean(axis=0)[1:]
+    f, power = signal.periodogram(
+        residual, 1 / tick, window="hann", detrend="linear", axis=-1
+    )
+    # The lowest bins of so short a window hold whatever is slow, and no line.
+    f, mean = f[2:], power.mean(axis=0)[2:]
     around = signal.medfilt(np.pad(mean, 12, mode="reflect"), 13)[12:-12]
     ratio = mean / np.maximum(around, 1e-300)
     top = int(np.argmax(ratio))
-    return float(f[1:][top]), float(ratio[top])
+    return float(f[top]), float(ratio[top])
 
 
 def _size(value: float, unit: str) -> str:

@@ -93,8 +93,7 @@ def supply_noise_of(logs: Sequence[Log], spec: RigSpec) -> float:
         return 0.0
     if "P_s" in spec.sensors:
         return spec.sensors["P_s"]
-    moving = [p for log in logs if np.ptp(p := log.signals["P_s"]) > 0]
-    return float(np.median([estimate_noise(p) for p in moving])) if moving else 0.0
+    return _level(logs, "P_s")
 
 
 def force_areas(spec: RigSpec) -> tuple[float, float]:
@@ -103,17 +102,25 @@ def force_areas(spec: RigSpec) -> tuple[float, float]:
     return float(rig.force_area_1), float(rig.force_area_2)
 
 
+def _level(logs: Sequence[Log], name: str) -> float:
+    """Noise of one signal over the logs' whole stretches, in its own unit."""
+    each = [
+        estimate_noise(log.signals[name][slice(*rows)])
+        for log in logs
+        for rows in log.segments
+        if np.ptp(log.signals[name][slice(*rows)]) > 0
+    ]
+    return float(np.median(each)) if each else 0.0
+
+
 def _estimated(logs, spec, name, driven_by) -> float:
     """Noise of a channel from the logs; with what the drive brings into a force."""
     has = logs[0].signals
 
-    def of(signal):
-        return float(np.median([estimate_noise(log.signals[signal]) for log in logs]))
-
-    level = of(name) if name in has else 0.0
+    level = _level(logs, name) if name in has else 0.0
     if name == "F" and driven_by != "u":
         areas = dict(zip(("P_a1", "P_a2"), force_areas(spec), strict=True))
         for drive, area in {**areas, "P": 1.0}.items():
             if drive in has and area > 0:
-                level = float(np.hypot(level, area * of(drive)))
+                level = float(np.hypot(level, area * _level(logs, drive)))
     return level

@@ -148,7 +148,10 @@ def prepare(
         _segment(i, log, spec, slice(*rows), driven_by, sign, band)
         for i, log in enumerate(logs)
         for rows in log.segments
+        if rows[1] - rows[0] > 20
     ]
+    if not segments:
+        raise InputError(f"{logs[0].name}: no stretch without gaps has over 20 rows")
     h = float(np.median(np.concatenate([np.diff(s.t) for s in segments])))
     T = max(int(round(horizon / h)), 8)
     pre, lead = (PRE, LEAD) if driven_by == "u" else (1, min(LEAD, int(0.3 / h)))

@@ -67,13 +67,25 @@ def open_case(
         raise InputError(f"{rig}: no log to fit: name at least one")
     fitted = tuple(read_log(path, spec.channels) for path in logs)
     others = tuple(read_log(path, spec.channels) for path in validate)
+    again = {Path(p).resolve() for p in logs} & {Path(p).resolve() for p in validate}
+    if again:
+        raise InputError(
+            f"{min(again)}: is among the logs to fit too: a check needs one that took "
+            "no part in the fit"
+        )
+    per = [
+        s for e in spec.effects for s in specs(EFFECTS[e]).values() if "{u}" in s.unit
+    ]
+    if not per and not any(n.startswith("c_") for n in spec.parameters):
+        # Nothing in the rig file says what a command is: the logs do.
+        unit = fitted[0].units.get("u", spec.command_unit)
+        spec = replace(spec, command_unit=unit)
     for log in (*fitted, *others):
         unit = log.units.get("u", spec.command_unit)
-        given = any(n.startswith("c_") for n in spec.parameters)
-        if unit != spec.command_unit and given:
+        if unit != spec.command_unit:
             raise InputError(
-                f"{log.name}: u is in [{unit}], but the valve constants of {rig} are "
-                f"per [{spec.command_unit}]: bring them to one unit"
+                f"{log.name}: u is in [{unit}], but {rig} or another log is per "
+                f"[{spec.command_unit}]: bring them to one unit"
             )
     data = prepare((*fitted, *others), spec, horizon)
     sign = 1.0

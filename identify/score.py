@@ -70,7 +70,7 @@ def score(
     projection: Projection,
     name: str,
     columns: Sequence[int],
-    reach: np.ndarray,
+    ends: np.ndarray,
     matters: float,
     level: float,
 ) -> Score:
@@ -80,7 +80,7 @@ def score(
         projection: of the fitted columns.
         name: the candidate's.
         columns: of its strengths.
-        reach: largest plausible strengths, in units of the columns.
+        ends: [columns, 2] range of the strengths, in units of the columns.
         matters: chi-square by which an effect that matters changes the residual.
         level: significance at which it would be seen.
     """
@@ -89,13 +89,18 @@ def score(
     if np.all(np.diag(H) <= 1e-9 * np.maximum(own, 1e-300)):
         return Score(name, 0.0, np.zeros(len(columns)), 1.0, 0.0, 0.0, 0.0)
     H = _solid(H)
+    reach = np.max(np.abs(ends), axis=1)
     by_window = projection.scores(columns)
     g = by_window.sum(axis=0)
-    step = -np.linalg.solve(H, g)
+    step = np.clip(-np.linalg.solve(H, g), ends[:, 0], ends[:, 1])
     spread = _solid(by_window.T @ by_window)
     chi2 = float(g @ np.linalg.solve(spread, g))
     p = float(stats.chi2.sf(chi2, len(columns)))
-    gain = float(-g @ step)
+    # Where the range cuts a step short it still gains what the quadratic says; a
+    # strength that would have to be negative gains nothing.
+    gain = float(max(-2 * g @ step - step @ H @ step, 0.0))
+    if gain == 0.0:
+        p = 1.0
     power = _power(H, spread, reach, matters, level)
     share = gain / projection.left
     at_noise = _power(H, H, reach, matters, level)

@@ -66,7 +66,7 @@ def summarise(command: str, case: Case, state: Tracing, base: Point) -> Outcome:
         fit_logs=tuple(log.name for log in case.fit_logs),
         validate_logs=tuple(log.name for log in case.check_logs),
         verdict=verdict,
-        sentence=_sentence(verdict, effects, left, case.held_out),
+        sentence=_sentence(command, verdict, effects, left, case.held_out),
         parameters=_parameters(case, state, belief),
         channels=channels,
         effects=effects,
@@ -104,7 +104,7 @@ def _one(
     start = known.start if known else value
     std = belief.std.get(name)
     interval = None if std is None else (value - 1.96 * std, value + 1.96 * std)
-    at_bound = free and std is None
+    at_bound = free and name in belief.ends
     unit = _shown(spec, case.spec.command_unit)
     shown = name.rsplit(".", 1)[-1]
     if spec.outside:
@@ -191,6 +191,7 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
 
 
 def _sentence(
+    command: str,
     verdict: str,
     effects: tuple[Effect, ...],
     left: tuple[Unexplained, ...],
@@ -208,6 +209,8 @@ def _sentence(
     channels = " and ".join(u.channel for u in left)
     start = f"{names} was found and added, but " if names else ""
     rest = "; ".join(u.says for u in left)
+    if command == "identify":
+        return f"The declared model does not explain {channels}: {rest}. Try trace."
     return f"{start}no effect known here explains what is left in {channels}: {rest}."
 
 

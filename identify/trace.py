@@ -142,9 +142,14 @@ def free_names(effect: Effect) -> list[str]:
 
 
 def _size_that_matters(state: Tracing, noise: np.ndarray) -> float:
-    """Chi-square of an RMS error that grows by `matters` of one channel's noise."""
+    """Chi-square of an RMS error that grows by `matters` of one channel's noise.
+
+    In the channels' present weights, and of the channel where it is least.
+    """
     windows, ticks, _ = state.problem.batch.windows.measured.shape
-    return ((1 + state.matters) ** 2 - 1) * windows * ticks
+    seen = np.isfinite(noise)
+    grown = 1 + state.matters * noise[seen] / state.point.weights[seen]
+    return float(np.min(grown**2 - 1)) * windows * ticks
 
 
 def _scores(
@@ -169,14 +174,14 @@ def _scores(
             if g > 0 and name not in shapes:
                 continue
             columns = [names.index(n) for n in strengths(effect)]
-            reach = np.array(
+            ends = np.array(
                 [
-                    max(abs(s.lower), abs(s.upper)) / s.scale
+                    (s.lower / s.scale, s.upper / s.scale)
                     for s in specs(effect).values()
                     if s.strength
                 ]
             )
-            s = score(projection, name, columns, reach, matters, state.level)
+            s = score(projection, name, columns, ends, matters, state.level)
             if name not in best or s.gain > best[name].gain:
                 best[name] = replace(s, shape=shapes.get(name, {}))
     return best

@@ -31,6 +31,7 @@ class Belief:
     """
 
     std: dict[str, float | None]
+    ends: frozenset[str]
     vague: tuple[str, ...]
     limits: tuple[str, ...]
 
@@ -66,10 +67,12 @@ def believe(problem: Problem, point: Point, free: Sequence[str]) -> Belief:
         size = max(abs(point.values[columns[i]]), 0.1 * scale[i])
         if not np.isfinite(s) or s > VAGUE * size:
             vague.append(name)
+        if s > 0.01 * UNTOLD * scale[i]:
+            std[name] = None
     limits = [_at_end(name, end) for name, end in ends.items()]
     if vague:
         limits += _in_words(vague, inside, H)
-    return Belief(std, tuple(vague), tuple(limits))
+    return Belief(std, frozenset(ends), tuple(vague), tuple(limits))
 
 
 def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]:

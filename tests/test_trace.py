@@ -198,7 +198,8 @@ def scored(X, r, fitted, columns, matters=10.0, reach=None, prior=None):
         np.zeros(X.shape[-1]) if prior is None else prior,
     )
     reach = np.full(len(columns), 1e9) if reach is None else reach
-    return projection, score(projection, "it", columns, reach, matters, 0.01)
+    ends = np.stack([-reach, reach], axis=1)
+    return projection, score(projection, "it", columns, ends, matters, 0.01)
 
 
 @pytest.mark.parametrize("more", [1, 2, 3])
