@@ -50,8 +50,14 @@ def main(data: str, *names: str) -> None:
             folder.name,
             outcome.verdict,
             "\n".join(_said(e) for e in outcome.effects),
-            "\n".join(f"{n} {c.before / c.noise:.2f}" for n, c in channels),
-            "\n".join(f"{n} {c.after / c.noise:.3f}" for n, c in channels),
+            "\n".join(
+                f"{n} {c.before / c.noise:.2f} ({c.before:.4g} {c.unit})"
+                for n, c in channels
+            ),
+            "\n".join(
+                f"{n} {c.after / c.noise:.3f} ({c.after:.4g} {c.unit})"
+                for n, c in channels
+            ),
             f"{time.perf_counter() - began:.0f}",
         )
         if folder.name == "emps":

@@ -179,11 +179,10 @@ class Problem:
         values: np.ndarray,
         free: Sequence[str] | None = None,
         noise: np.ndarray | None = None,
-        simulate: bool | None = None,
     ) -> tuple[np.ndarray, Fit]:
         """Move `free` from `values` to the best fit; returns all values, and how.
 
-        `noise` and `simulate` stand in for the problem's own where a part of the
+        `noise` stands in for the problem's own where a part of the
         model is fitted by itself.
         """
         free = tuple(self.free if free is None else free)
@@ -212,7 +211,7 @@ class Problem:
             boxed(lower),
             boxed(upper),
             batch,
-            self.simulate if simulate is None else simulate,
+            self.simulate,
         )
         moved = values.copy()
         step = np.asarray(out.at) * scale
