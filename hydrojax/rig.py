@@ -66,6 +66,11 @@ class State(NamedTuple):
     sensor_F: tuple
 
 
+def sides(spool: Array) -> tuple[Array, Array]:
+    """The spool's opening toward either side, both >= 0."""
+    return jnp.where(spool > 0, spool, 0.0), -jnp.where(spool > 0, 0.0, spool)
+
+
 class Rig(eqx.Module):
     """The plant of the paper, with what it lacks added as values.
 
@@ -94,24 +99,34 @@ class Rig(eqx.Module):
         """Memories of the command's path at rest under `u`."""
         return tuple(c.init(u) for c in self.command)
 
+    def command_parts(
+        self, memory: tuple, u: Array, h: Array, parts: int = PARTS
+    ) -> tuple[tuple, list[Array]]:
+        """The command's way to the spool over one tick, cut into `parts`.
+
+        Returns the memories and the spool's mean opening over each part.
+        """
+        openings = []
+        for _ in range(parts):
+            spool, out = u, []
+            for channel, m in zip(self.command, memory, strict=True):
+                m, spool = channel.step(m, spool, h / parts)
+                out.append(m)
+            memory = tuple(out)
+            openings.append(spool)
+        return memory, openings
+
     def command_step(
         self, memory: tuple, u: Array, h: Array
     ) -> tuple[tuple, tuple[Array, Array]]:
-        """The command's way to the spool over one tick.
+        """The same over a whole tick.
 
         Returns the memories and the mean openings toward either side, both >= 0.
         """
-        open_p, open_n = jnp.zeros_like(u), jnp.zeros_like(u)
-        for _ in range(PARTS if self.command else 1):
-            spool, out = u, []
-            for channel, m in zip(self.command, memory, strict=True):
-                m, spool = channel.step(m, spool, h / PARTS)
-                out.append(m)
-            memory = tuple(out)
-            open_p = open_p + jnp.where(spool > 0, spool, 0.0)
-            open_n = open_n - jnp.where(spool > 0, 0.0, spool)
-        count = PARTS if self.command else 1
-        return memory, (open_p / count, open_n / count)
+        parts = PARTS if self.command else 1
+        memory, openings = self.command_parts(memory, u, h, parts)
+        open_p, open_n = zip(*(sides(spool) for spool in openings), strict=True)
+        return memory, (sum(open_p) / parts, sum(open_n) / parts)
 
     def pressure_rates(self, at: Point) -> tuple[Array, Array]:
         """Rates of both chamber pressures, Pa/s; (12)-(15)."""
@@ -177,7 +192,12 @@ class Rig(eqx.Module):
         Returns the new state and what the sensors read, `P_a1 P_a2 F` in SI.
         """
         command, opening = self.command_step(state.command, tick.u, tick.h)
-        P = self.pressure_step(state.P, opening, tick)
+        state = self.act(state._replace(command=command), opening, tick)
+        F = self.output_force(self.sliding(state, tick))
+        return self.read(state, F, tick.h)
+
+    def act(self, state: State, opening: tuple[Array, Array], tick: Tick) -> State:
+        """Pressures, bristle and filtered speed after a tick under `opening`."""
         z, speed = state.z, state.speed
         for i in range(tick.dx.shape[-1]):
             dx = tick.dx[..., i]
@@ -185,15 +205,32 @@ class Rig(eqx.Module):
             z = keep * z + add
             keep, add = self.mechanics.speed_map(dx, tick.h / tick.dx.shape[-1])
             speed = keep * speed + add
-        x, v = tick.x[..., -1], tick.v
-        rate = self.mechanics.z_rate(z, v)
-        P_s = tick.P_s[..., 1]
-        F = self.output_force(Sliding(tick.t, x, v, tick.a, z, rate, speed, *P, P_s))
-        m_1, P_a1 = self.sense(self.sensor_P, state.sensor_P[0], P[0], tick.h)
-        m_2, P_a2 = self.sense(self.sensor_P, state.sensor_P[1], P[1], tick.h)
-        m_F, cell = self.sense(self.sensor_F, state.sensor_F, F, tick.h)
-        signals = {"P_a1": P_a1, "P_a2": P_a2, "F": cell}
-        return State(command, P, z, speed, (m_1, m_2), m_F), signals
+        P = self.pressure_step(state.P, opening, tick)
+        return state._replace(P=P, z=z, speed=speed)
+
+    def sliding(self, state: State, tick: Tick) -> Sliding:
+        """What friction sees at the end of a tick."""
+        rate = self.mechanics.z_rate(state.z, tick.v)
+        return Sliding(
+            t=tick.t,
+            x=tick.x[..., -1],
+            v=tick.v,
+            a=tick.a,
+            z=state.z,
+            z_rate=rate,
+            speed=state.speed,
+            P_a1=state.P[0],
+            P_a2=state.P[1],
+            P_s=tick.P_s[..., 1],
+        )
+
+    def read(self, state: State, F: Array, h: Array) -> tuple[State, dict[str, Array]]:
+        """What the sensors say at the end of a tick of length `h`."""
+        m_1, P_a1 = self.sense(self.sensor_P, state.sensor_P[0], state.P[0], h)
+        m_2, P_a2 = self.sense(self.sensor_P, state.sensor_P[1], state.P[1], h)
+        m_F, cell = self.sense(self.sensor_F, state.sensor_F, F, h)
+        state = state._replace(sensor_P=(m_1, m_2), sensor_F=m_F)
+        return state, {"P_a1": P_a1, "P_a2": P_a2, "F": cell}
 
     def sense_init(
         self, channels: tuple, y: Array, slope: Array
