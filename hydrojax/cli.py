@@ -59,6 +59,13 @@ def _check_out(out: Path) -> None:
         raise InputError(f"{out}: cannot be written to: name another folder with --out")
 
 
+def _check_file(out: Path) -> None:
+    """Refuse a file that cannot be written, before any work."""
+    if out.is_dir():
+        raise InputError(f"{out}: is a folder: name a file with --out")
+    _check_out(out.parent)
+
+
 @app.command()
 def identify(
     rig: RigFile,
@@ -113,6 +120,142 @@ def demo(out: Out = Path("hydrojax-demo")) -> None:
         console.print("trace of the demo rig: two logs to fit, one to check\n")
         logs = [here / "fit_1.csv.gz", here / "fit_2.csv.gz"]
         _trace(here / "rig.toml", logs, [here / "validate.csv.gz"], out)
+
+
+@app.command()
+def simulate(
+    rig: RigFile,
+    gains: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Keys of [controller] to replace, as k_p=1.5 or 'A_a=6 V*s,15 V*s': "
+            "all words that follow.",
+            show_default=False,
+        ),
+    ] = None,
+    reference: Annotated[
+        str,
+        typer.Option(
+            help="Desired force: sines:400 N, sine:300 N,0.5 Hz, noise:200 N,50 Hz, or "
+            "a log with F_d."
+        ),
+    ] = "sines",
+    motion: Annotated[
+        str,
+        typer.Option(
+            help="Of the piston, or of what its load hangs on: wander:25 mm/s, "
+            "to-and-fro:3 cm/s,3 s, locked, or a log."
+        ),
+    ] = "wander",
+    seconds: Annotated[float, typer.Option(help="Length of the run, s.")] = 12.0,
+    seed: Annotated[int, typer.Option(help="Of noise and random course.", min=0)] = 0,
+    out: Annotated[
+        Path, typer.Option(help="The log: CSV(.gz), Parquet or MAT.")
+    ] = Path("hydrojax-simulate.csv"),
+) -> None:
+    """Run a rig in closed loop; write the log that it would have given."""
+    _check_file(out)
+    set_up_jax(user_cache())
+    import warnings
+
+    import numpy as np
+
+    from . import record, simulation
+    from .build import load_rig, make_effects, make_rig
+    from .controller import make_loop
+
+    record.check_kind(out)
+    spec = load_rig(rig)
+    with _progress() as tell:
+        tell("run the closed loop")
+        loop = make_loop(spec, None, _given(gains or []))
+        course = record.read_course(spec, loop, reference, motion, seconds, seed)
+        x = course.road.x
+        effects = make_effects(spec.effects, spec, (float(x.min()), float(x.max())))
+        loop = make_loop(spec, make_rig(spec, effects), _given(gains or []))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # said below, in one line
+            run = simulation.simulate(loop, course)
+    if not np.all(np.isfinite(run["true_F"])):
+        raise InputError(
+            f"{rig}: the closed loop diverges; lower the gains, or mend the rig"
+        )
+    record.write_log(out, record.columns(run, spec))
+    for line in (run.warning(), _noiseless(spec.sensors)):
+        if line:
+            console.print(f"warning: {line}")
+    later = run.t >= run.t[-1] / 4
+    off = np.sqrt(np.mean((run.F_d - run["true_F"])[later] ** 2))
+    pushed = np.mean(np.abs(run["u"]) >= 0.999 * float(loop.law.u_max))
+    console.print(
+        f"{run.t.size} samples in {out}; F_d - F {off:.3g} N RMS after the first "
+        f"quarter; command saturated in {100 * pushed:.2g} % of them"
+    )
+
+
+def _noiseless(sensors: dict[str, float]) -> str:
+    if {"P_a1", "P_a2", "F"} & set(sensors):
+        return ""
+    return (
+        "the rig file gives no noise under [sensors], so the log has none: identify "
+        "and trace will take every small misfit for real"
+    )
+
+
+def _given(words: list[str]) -> dict[str, object]:
+    """`name=value` or `name=lower,upper` words as keys of [controller]."""
+    out: dict[str, object] = {}
+    for word in words:
+        name, sign, text = word.partition("=")
+        if not sign or not text.strip():
+            raise InputError(f"--gains {word!r}: write NAME=VALUE, such as k_p=1.5")
+        values = [_number(part) for part in text.split(",")]
+        out[name.strip()] = values[0] if len(values) == 1 else values
+    return out
+
+
+def _number(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+@app.command()
+def paper(out: Out = Path("hydrojax-paper")) -> None:
+    """Repeat the paper's experiments on the reference rig: Figs. 2 to 5."""
+    _check_out(out)
+    set_up_jax(user_cache())
+    import json
+
+    from . import paper as experiments
+    from .paper_figures import figures
+
+    with _progress() as tell:
+        found = experiments.experiments(tell)
+        tell("draw")
+        drawn = figures(found)
+        content = experiments.json_of(found)
+    out.mkdir(parents=True, exist_ok=True)
+    for name, figure in drawn.items():
+        figure.savefig(out / f"{name}.png", dpi=120)
+    (out / "paper.json").write_text(json.dumps(content, indent=1) + "\n")
+    table = Table("RMS, N", "a", "b", "c", "d")
+    for name in ("fig2", "fig3", "fig4"):
+        table.add_row(name, *(f"{v:.3g}" for v in content[name].values()))
+    console.print(table)
+    edge = content["fig5"]
+    console.print(
+        f"fig5: within 1 dB to {edge['within_1dB_to_Hz_noise']:.1f} Hz by noise, "
+        f"{edge['within_1dB_to_Hz_sines']:.1f} Hz by sines\n"
+        f"W (31) rises by at most {content['lyapunov']['largest_rise']:.2g} of its "
+        "start\n"
+        f"least supply {content['supply']['least_P_s_Pa'] / 1e6:.2f} MPa; (42) asks "
+        f"for {content['supply']['condition_42_Pa'] / 1e6:.1f} MPa\n"
+        f"without friction model {content['ablation']['rms_N']:.3g} N, full law "
+        f"{content['ablation']['full_law_rms_N']:.3g} N\n"
+        f"pictures and paper.json in {out}"
+    )
 
 
 def _trace(
@@ -185,19 +328,23 @@ def options(
     """What holds for every command."""
 
 
+SEVERAL = ("--validate", "--gains")
+"""Options that take all words that follow."""
+
+
 def _spread(words: list[str]) -> list[str]:
-    """Let `--validate` take several logs: repeat it before each word that follows."""
-    out, open_ = [], False
+    """Let some options take several words: repeat them before each that follows."""
+    out, open_ = [], ""
     for word in words:
-        if word == "--validate":
-            open_ = True
-        elif word.startswith("--validate="):
-            open_ = True
-            out.append(word)
+        name, sign, _ = word.partition("=")
+        if name in SEVERAL:
+            open_ = name
+            if sign:
+                out.append(word)
         elif open_ and not word.startswith("-"):
-            out += ["--validate", word]
+            out += [open_, word]
         else:
-            open_ = False
+            open_ = ""
             out.append(word)
     return out
 

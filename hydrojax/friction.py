@@ -31,6 +31,18 @@ class Sliding(NamedTuple):
     P_s: Array
 
 
+class Theta(NamedTuple):
+    """One value for each of theta_f (27), in the paper's order."""
+
+    k_cp: Array
+    k_cn: Array
+    k_0: Array
+    k_vp: Array
+    k_vn: Array
+    k_fp: Array
+    k_fn: Array
+
+
 class Friction(eqx.Module):
     """Coulomb, Stribeck, offset and presliding friction of one piston."""
 
@@ -79,6 +91,26 @@ class Friction(eqx.Module):
         coulomb = level * jnp.clip(at.z / self.z_ss, -1.0, 1.0)
         fall = jnp.where(at.v > 0, self.k_vp, self.k_vn) * at.v
         return coulomb + self.k_0 - fall + sum(e.force(at) for e in adds)
+
+    def regressor(self, z: Array, v: Array, speed: Array, F: Array) -> Theta:
+        """The row of (26): what each of theta_f is multiplied with in f_f.
+
+        With the output force itself as `F`, `f_f` of (7) is this times theta_f; the
+        adaptive law puts the desired force in its place.
+        """
+        L = self.switch(speed)
+        slide = 1 - L
+        g = jnp.clip(z / self.z_ss, -1.0, 1.0)
+        stick = L * F / (1 + self.delta * jnp.abs(F))
+        return Theta(
+            k_cp=slide * jnp.where(z > 0, g, 0.0),
+            k_cn=slide * jnp.where(z > 0, 0.0, g),
+            k_0=slide,
+            k_vp=-slide * jnp.where(v > 0, v, 0.0),
+            k_vn=-slide * jnp.where(v > 0, 0.0, v),
+            k_fp=jnp.where(F > 0, stick, 0.0),
+            k_fn=jnp.where(F > 0, 0.0, stick),
+        )
 
     def output_force(self, P: Array, f_c: Array, L: Array) -> Array:
         """F of (22) with (5)-(7): the admissible root of a quadratic, N.

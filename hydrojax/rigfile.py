@@ -18,6 +18,10 @@ from .signals import SIGNALS, Channel
 
 Layout = Literal["pull-pull", "differential", "single", "driven-axis"]
 
+_Number = Annotated[float, Field(strict=False)]
+ControllerValue = str | _Number | list[str | _Number]
+"""A quantity, a number in the paper's unit, or two bounds of either."""
+
 _GEOMETRY = {
     "area": "m^2", "area_1": "m^2", "area_2": "m^2",
     "chamber_length": "m", "radius": "m", "x_mid": "m",
@@ -29,6 +33,7 @@ _NEEDED = {
     "driven-axis": (),
 }
 _SUPPLY = {"P_s": "Pa", "P_r": "Pa"}
+_LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
 
 
 @dataclass(frozen=True)
@@ -56,11 +61,12 @@ class RigSpec:
         geometry: area, area_1, area_2 in m^2, chamber_length, radius, x_mid in m.
         supply: P_s, P_r in Pa, for logs without these channels.
         sensors: standard deviation of the noise, by signal.
-        load: F in N, if the load is known without a sensor.
+        load: F in N, if the load is known without a sensor; for closed-loop runs mass,
+            stiffness and damping (kg, N/m, N s/m) of an inertia on the output.
         channels: where signals are in the logs, by the contract's names.
         parameters: the base model's, by name.
         effects: those declared, with the parameters given, by name.
-        controller: as written.
+        controller: as written; `hydrojax.controller` reads it.
         command_unit: the valve command's, "V" or "1", as the constants imply; "V" if
             none is given.
         path: the file.
@@ -75,7 +81,7 @@ class RigSpec:
     channels: dict[str, Channel]
     parameters: dict[str, Entry]
     effects: dict[str, dict[str, Entry]]
-    controller: dict[str, str | float]
+    controller: dict[str, ControllerValue]
     command_unit: str
     path: str
 
@@ -92,7 +98,7 @@ class _Sections(BaseModel):
     channels: dict[str, Channel] = {}
     parameters: dict[str, Any] = {}
     effects: dict[str, dict[str, Any]] = {}
-    controller: dict[str, str | Annotated[float, Field(strict=False)]] = {}
+    controller: dict[str, ControllerValue] = {}
 
 
 @dataclass(frozen=True)
@@ -149,7 +155,7 @@ def read_rig(
         geometry=_quantities(f"{path}: [geometry]", file.geometry, _GEOMETRY),
         supply=_quantities(f"{path}: [supply]", file.supply, _SUPPLY),
         sensors=_quantities(f"{path}: [sensors]", file.sensors, noise_units),
-        load=_quantities(f"{path}: [load]", file.load, {"F": "N"}),
+        load=_quantities(f"{path}: [load]", file.load, _LOAD),
         channels=file.channels,
         parameters={g.field: _entry(g, command) for g in base},
         effects={

@@ -1,0 +1,126 @@
+"""A closed-loop run from numbers: its course, the run, and what to know of it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+
+from .load import Road
+from .loop import SIGNALS, Course, Loop, run
+
+PARTS = 4
+"""Parts of a control period in which the plant acts; a test shows what they cost."""
+
+Path = Callable[[np.ndarray, int], np.ndarray]
+"""A motion: `path(t, nu)` is its nu-th derivative at times t, m, m/s, m/s^2."""
+
+_run = eqx.filter_jit(run)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A closed-loop run: `signals` by name, each [N], at times `t` [N]; SI.
+
+    `leaves` says of each chamber in how many samples its pressure was outside
+    (P_r, P_s), where (20)(21) and all that rests on them no longer hold.
+    """
+
+    t: np.ndarray
+    F_d: np.ndarray
+    signals: dict[str, np.ndarray]
+    leaves: tuple[int, int]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.signals[name]
+
+    def warning(self) -> str:
+        """What to know before this run is believed, or nothing."""
+        left = [
+            f"P_a{i} in {n} of {self.t.size} samples"
+            for i, n in enumerate(self.leaves, 1)
+            if n
+        ]
+        if not left:
+            return ""
+        return (
+            f"a pressure left (P_r, P_s): {', '.join(left)}; raise P_s, or ask for "
+            "less force or speed"
+        )
+
+
+def simulate(loop: Loop, course: Course) -> Run:
+    """Run the closed loop once.
+
+    Warns (`RuntimeWarning`) if a pressure leaves (P_r, P_s) or the run diverges.
+    """
+    table = np.asarray(_run(loop, course))
+    signals = dict(zip(SIGNALS, table.T, strict=True))
+    supply, back = np.asarray(course.P_s[:, 0]), np.asarray(course.P_r[:, 0])
+    open_1 = not float(loop.rig.force_area_1)  # an open chamber holds no pressure
+    leaves = tuple(
+        int(np.sum(~((signals[p] > back) & (signals[p] < supply))))
+        for p in ("true_P_a1", "true_P_a2")
+    )
+    out = Run(
+        np.asarray(course.t),
+        np.asarray(course.F_d),
+        signals,
+        (0 if open_1 else leaves[0], leaves[1]),
+    )
+    if out.warning():
+        warnings.warn(out.warning(), RuntimeWarning, stacklevel=2)
+    return out
+
+
+def make_course(
+    F_d: ArrayLike,
+    path: Path,
+    h: float,
+    P_s: float | np.ndarray,
+    P_r: float | np.ndarray,
+    seed: int | None = None,
+    parts: int = PARTS,
+) -> Course:
+    """A course of as many samples as `F_d` [N] has, every `h` seconds; SI.
+
+    Args:
+        F_d: desired force, N.
+        path: motion of the piston, or of the environment that its load is held by.
+        h: control period, s.
+        P_s: supply pressure, constant or [N + 1], Pa.
+        P_r: return pressure, likewise.
+        seed: of the sensors' noise; None for none.
+        parts: parts of a period in which the plant acts.
+    """
+    F_d = np.asarray(F_d, float)
+    n = F_d.size
+    t = np.arange(n) * h
+    halves = t[:, None, None] + h / parts * (
+        np.arange(parts)[:, None] + np.array([0.0, 0.5, 1.0])
+    )
+    after = halves[..., 2]
+
+    def ends(p: float | np.ndarray) -> Array:
+        p = np.broadcast_to(np.asarray(p, float), (n + 1,))
+        return jnp.asarray(np.stack([p[:-1], p[1:]], axis=1))
+
+    noise = np.zeros((n, 4))
+    if seed is not None:
+        noise = np.random.default_rng(seed).normal(size=(n, 4))
+    road = Road(
+        *(jnp.asarray(a) for a in (path(halves, 0), path(after, 1), path(after, 2)))
+    )
+    return Course(
+        jnp.asarray(t), jnp.asarray(F_d), jnp.asarray(noise), ends(P_s), ends(P_r), road
+    )
+
+
+def hold(x: float = 0.0) -> Path:
+    """The piston, or its environment, locked at `x`, m."""
+    return lambda t, nu: np.zeros_like(t) + (x if nu == 0 else 0.0)
