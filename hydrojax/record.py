@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import scipy.io
@@ -119,6 +121,44 @@ def read_course(
             path = hold(given[0])
     supply = SUPPLY | spec.supply
     return make_course(F_d, path, h, supply["P_s"], supply["P_r"], seed)
+
+
+def rerun(
+    spec: RigSpec, loop: Loop, log: Log, most: float
+) -> tuple[Course | None, Loop]:
+    """The course of a measured run, and the loop begun where the run began.
+
+    Args:
+        spec: the rig.
+        loop: the loop that will run it.
+        log: with F_d and motion; its supply is taken where it has one.
+        most: s, of which no more is taken.
+
+    Returns:
+        None for a course of less than two seconds without a gap or a missing F_d.
+    """
+    start, stop = _rows(log)
+    rows = slice(start, stop)
+    t = log.time[rows] - log.time[start]
+    holes = np.flatnonzero(np.isnan(log.signals["F_d"][rows]))
+    end = t[holes[0] - 1] if holes.size else t[-1]
+    h = float(loop.h)
+    n = int(min(end, most) / h)
+    if n * h < 2.0:
+        return None, loop
+    at = np.arange(n + 1) * h
+
+    def given(name: str) -> float | np.ndarray:
+        if name not in log.signals:
+            return (SUPPLY | spec.supply)[name]
+        return np.interp(at, t, log.signals[name][rows])
+
+    F_d = np.interp(at[:-1], t, log.signals["F_d"][rows])
+    path = log_path(log, spec, (start, stop))
+    if "P_a1" in log.signals and spec.layout != "single":
+        first = jnp.asarray(np.median(log.signals["P_a1"][rows][:5]))
+        loop = eqx.tree_at(lambda lo: lo.P_start, loop, first)
+    return make_course(F_d, path, h, given("P_s"), given("P_r")), loop
 
 
 def _log(word: str, kinds: Mapping[str, object], spec: RigSpec) -> Log | None:

@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from .naming import engineering, p_text, signal_unit, symbol, words
 from .outcome import Candidate, Channel, Effect, Outcome, Parameter, Series
 from .trace import AT_NOISE
 
@@ -55,83 +56,11 @@ LOGS = 3
 RANKED = 24
 """Candidates that are drawn."""
 
-_PREFIXES = {
-    "Pa": {1e9: "G", 1e6: "M", 1e3: "k", 1.0: ""},
-    "N": {1e6: "M", 1e3: "k", 1.0: ""},
-    "V": {1.0: "", 1e-3: "m"},
-    "m": {1.0: "", 1e-3: "m", 1e-6: "µ"},
-    "s": {1.0: "", 1e-3: "m", 1e-6: "µ"},
-    "rad": {1.0: "", 1e-3: "m"},
-}
-_GREEK = ("alpha", "beta", "delta", "eps", "omega", "psi", "sigma", "tau", "zeta")
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-def raised(exponent: str | int) -> str:
-    """An exponent in raised figures."""
-    return str(exponent).translate(_RAISED)
-
-
-def pretty_unit(unit: str) -> str:
-    """A unit as it is printed: `m^3/(s*Pa^0.5)` becomes `m³/(s·√Pa)`."""
-    if unit in ("1", ""):
-        return ""
-    unit = re.sub(r"(\w+)\^0\.5", r"√\1", unit)
-    unit = re.sub(r"\^(-?\d+)", lambda m: raised(m[1]), unit)
-    return unit.replace("*", "·")
-
-
-def engineering(size: float, unit: str) -> tuple[float, str]:
-    """What one printed unit is in SI, and its name, for numbers about `size`.
-
-    Only a unit that leads with a plain Pa, N, V, m, s or rad takes a prefix.
-    """
-    lead = re.match(r"(Pa|N|V|m|s|rad)(?![\w^])", unit)
-    size = abs(size)
-    if lead is None or not np.isfinite(size) or size == 0.0:
-        return 1.0, pretty_unit(unit)
-    # A hair below the next prefix, rounding would print 1000.
-    fit = [f for f in _PREFIXES[lead[1]] if f <= size * 1.0005]
-    factor = max(fit, default=min(_PREFIXES[lead[1]]))
-    return factor, _PREFIXES[lead[1]][factor] + pretty_unit(unit)
-
-
-def symbol(name: str) -> str:
-    """A name as mathematics: `P_a1 + P_a2`, `abs(u)`, `u_rate`, `beta`."""
-    name = re.sub(r"abs\((.*)\)", r"|\1|", name)
-
-    def one(m: re.Match[str]) -> str:
-        stem, sub = m[1], m[2] or ""
-        if stem in _GREEK:
-            stem = {"eps": r"\varepsilon"}.get(stem, rf"\{stem}")
-        elif len(stem) > 1:
-            stem = rf"\mathrm{{{stem}}}"
-        if sub == "rate":
-            return rf"$\dot{{{stem}}}$"
-        return f"${stem}_{{\\mathrm{{{sub}}}}}$" if sub else f"${stem}$"
-
-    return re.sub(r"([A-Za-z]+)(?:_(\w+))?", one, name).replace(" - ", " − ")
-
-
-def signal_unit(name: str, command: str = "") -> str:
-    """SI unit of a signal of a `Series`, as its name tells; `command` is that of u."""
-    stem = re.sub(r"[^A-Za-z_].*", "", name.removeprefix("abs("))
-    rate, stem = stem.endswith("_rate"), stem.removesuffix("_rate")
-    units = {"x": "m", "z": "m", "v": "m/s", "a": "m/s^2", "psi": "rad", "t": "s"}
-    units |= {"F": "N", "F_d": "N", "P": "Pa", "u": command}
-    unit = units.get(stem, "Pa" if stem.startswith("P_") else "")
-    return f"{unit or 1}/s" if rate else unit
-
 
 def command_unit(outcome: Outcome) -> str:
     """`V` where the valve coefficients are per volt, else nothing."""
     volts = any(re.search(r"\bV\b", p.unit) for p in outcome.parameters.values())
     return "V" if volts else ""
-
-
-def words(name: str) -> str:
-    """An effect's name as plain words."""
-    return name.replace("_", " ")
 
 
 def png(figure: Figure, dpi: int = 160) -> bytes:
@@ -305,6 +234,56 @@ def _residual(ax: Axes, s: Series, name: str, noise: float, factor: float) -> No
     ax.margins(x=0.01)
 
 
+@_styled
+def loop_figure(outcome: Outcome) -> Figure | None:
+    """F_d, F as measured and F as simulated over a stretch, and what lies between."""
+    if not outcome.loops:
+        return None
+    loop = outcome.loops[0]
+    figure = _figure(4.2)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    first = _liveliest(loop.t, loop.desired)
+    part = slice(first, int(np.searchsorted(loop.t, loop.t[first] + LOOP_SECONDS)))
+    t = loop.t[part]
+    size = float(np.max(np.abs(loop.measured[part])))
+    factor, unit = engineering(size, "N")
+    for y, colour, style, label in (
+        (loop.measured, BEFORE, "-", "F measured"),
+        (loop.simulated, AFTER, "-", "F simulated"),
+        (loop.desired, "black", "--", "F_d"),
+    ):
+        wide = 1.8 if style == "-" and colour == BEFORE else 0.9
+        top.plot(t, y[part] / factor, style, color=colour, lw=wide, label=symbol(label))
+    top.set_ylabel(f"force [{unit}]")
+    off = ((loop.desired - loop.measured), BEFORE, "desired − measured")
+    left = ((loop.measured - loop.simulated), AFTER, "measured − simulated")
+    for y, colour, label in (off, left):
+        bottom.plot(t, y[part], color=colour, lw=0.8, label=label)
+    bottom.set(xlabel=f"time [s], {loop.log}", ylabel="difference [N]")
+    for ax in (top, bottom):
+        ax.margins(x=0.01)
+        ax.legend(loc="upper right", ncols=3, fontsize=8)
+        low, high = ax.get_ylim()
+        ax.set_ylim(low, high + 0.22 * (high - low))
+    return figure
+
+
+LOOP_SECONDS = 3.0
+"""How much of a run in closed loop is drawn."""
+
+
+def _liveliest(t: np.ndarray, y: np.ndarray) -> int:
+    """Where the stretch of LOOP_SECONDS begins in which `y` changes most."""
+    change = np.cumsum(np.abs(np.gradient(y)))
+    last = np.searchsorted(t, t + LOOP_SECONDS)
+    whole = last < t.size
+    if not whole.any():
+        return 0
+    return int(
+        np.argmax(np.where(whole, change[np.minimum(last, t.size - 1)] - change, -1))
+    )
+
+
 def _signal(s: Series, name: str) -> np.ndarray | None:
     return s.t if name == "t" and name not in s.signals else s.signals.get(name)
 
@@ -453,18 +432,6 @@ def _mean(ax: Axes, x: np.ndarray, y: np.ndarray, colour: str, style: str) -> fl
     ax.fill_between(at, mean - spread, mean + spread, color=colour, alpha=0.3, lw=0)
     ax.plot(at, mean, style, color=colour, ms=2.6, lw=1.4)
     return float(np.max(np.abs(mean) + 1.7 * spread, initial=0.0))
-
-
-def p_text(p: float) -> str:
-    """A p-value as it is printed."""
-    if not np.isfinite(p):
-        return "–"
-    if p < 1e-300:
-        return "< 10⁻³⁰⁰"
-    if p >= 0.001:
-        return f"{p:.2g}"
-    mantissa, exponent = f"{p:.0e}".split("e")
-    return f"{mantissa} × 10{raised(int(exponent))}"
 
 
 @_styled

@@ -91,6 +91,26 @@ class Series:
 
 
 @dataclass(frozen=True)
+class LoopCheck:
+    """A measured closed-loop run beside the same run in the identified loop; SI.
+
+    `t` [n] s since the run began; `desired`, `measured`, `simulated` [n] the forces.
+    `rms` is of measured - simulated, `tracking_*` of desired minus each. `warning` says
+    what kept the simulation from being believed, or nothing.
+    """
+
+    log: str
+    t: np.ndarray
+    desired: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    rms: float
+    tracking_measured: float
+    tracking_simulated: float
+    warning: str
+
+
+@dataclass(frozen=True)
 class Outcome:
     """All that `identify` or `trace` found.
 
@@ -113,3 +133,4 @@ class Outcome:
     notes: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
     series: tuple[Series, ...] = ()
+    loops: tuple[LoopCheck, ...] = ()

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import interpolate
 
 from ..errors import InputError
+from ..record import SUPPLY, position
 from ..replay import Motion, Windows
 from ..rigfile import RigSpec
 from ..signals import Log
@@ -37,10 +38,6 @@ unknown."""
 
 MOST_TICKS = 80_000
 """Ticks that a fit or a check takes in: more only cost time."""
-SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
-"""Supply and return pressure (Pa) where neither log nor rig file has them."""
-
-
 QUARTERS = 4
 """Steps of the bristle per tick."""
 
@@ -74,19 +71,6 @@ class Data:
     travel: tuple[float, float]
     areas: tuple[float, float]
     notes: tuple[str, ...]
-
-
-def _position(log: Log, spec: RigSpec) -> np.ndarray:
-    if "x" in log.signals:
-        return log.signals["x"] - spec.geometry.get("x_mid", 0.0)
-    if "psi" in log.signals:
-        if "radius" not in spec.geometry:
-            raise InputError(
-                f"{log.name}: column psi needs the driving radius: write "
-                f'radius = "… m" under [geometry] in {spec.path}'
-            )
-        return log.signals["psi"] * spec.geometry["radius"]
-    raise InputError(f"{log.name}: no motion: give a column x [m] or psi [rad]")
 
 
 @dataclass(frozen=True)
@@ -236,7 +220,7 @@ def common_band(logs: Sequence[Log], spec: RigSpec, driven_by: str) -> float:
     """The narrowest of the logs' bands, Hz; inf if none is needed."""
     bands = [
         motion_band(
-            log.time[slice(*rows)], _position(log, spec)[slice(*rows)], QUIET[driven_by]
+            log.time[slice(*rows)], position(log, spec)[slice(*rows)], QUIET[driven_by]
         )
         for log in logs
         for rows in log.segments
@@ -253,7 +237,7 @@ def _segment(
     sign: float,
     band: float,
 ) -> _Segment:
-    t, x = log.time[rows], sign * _position(log, spec)[rows]
+    t, x = log.time[rows], sign * position(log, spec)[rows]
     get = {k: v[rows] for k, v in log.signals.items()}
     zero = np.zeros(t.size)
     F = get.get("F", zero + spec.load.get("F", np.nan))

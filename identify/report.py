@@ -16,12 +16,12 @@ from typing import Any
 import jinja2
 
 from . import figures
-from .figures import engineering, p_text, raised, words
-from .outcome import Channel, Effect, Outcome, Parameter
+from .naming import engineering, p_text, raised, words
+from .outcome import Channel, Effect, LoopCheck, Outcome, Parameter
 from .trace import AT_NOISE
 
 FORMAT = "hydrojax-report/1"
-PICTURES = ("error", "betrayal", "residual", "ranking", "parameter")
+PICTURES = ("error", "betrayal", "residual", "loop", "ranking", "parameter")
 """In the order of the page: `<name>_figure` is in `report_<name>.png`."""
 
 
@@ -40,6 +40,7 @@ def json_of(outcome: Outcome) -> dict[str, Any]:
         "effects": [_effect(e) for e in o.effects],
         "candidates": [asdict(c) for c in o.candidates],
         "unexplained": [asdict(u) for u in o.unexplained],
+        "closed_loop": [_loop(c) for c in o.loops],
         "limits": o.limits,
         "notes": o.notes,
         "seconds": o.seconds,
@@ -73,6 +74,11 @@ def _effect(e: Effect) -> dict[str, Any]:
         "cannot_tell_from": e.cannot_tell_from,
         "betrayed_by": e.betrayed_by,
     }
+
+
+def _loop(c: LoopCheck) -> dict[str, Any]:
+    names = ("log", "rms", "tracking_measured", "tracking_simulated", "warning")
+    return {"unit": "N"} | {name: getattr(c, name) for name in names}
 
 
 def _strict(value: Any) -> Any:
@@ -216,6 +222,7 @@ def _described(name: str, outcome: Outcome) -> tuple[str, str]:
         "error": _error_said,
         "betrayal": _betrayal_said,
         "residual": _residual_said,
+        "loop": _loop_said,
         "ranking": _ranking_said,
         "parameter": _parameter_said,
     }[name](outcome)
@@ -254,6 +261,18 @@ def _residual_said(outcome: Outcome) -> tuple[str, str]:
         "Measured minus replayed over time on validation logs, condensed to the "
         "smallest and largest value per pixel; broken where the log has gaps or is "
         f"not compared.{more}",
+    )
+
+
+def _loop_said(outcome: Outcome) -> tuple[str, str]:
+    loop = outcome.loops[0]
+    return (
+        f"Output force over time in {loop.log}: desired, measured, and simulated; "
+        f"measured and simulated differ by {quantity(loop.rms, 'N')} RMS.",
+        "The log's desired force in the simulated loop: the identified rig, the "
+        "paper's law with the rig file's [controller]; motion and supply are the "
+        "log's. The "
+        f"liveliest {figures.LOOP_SECONDS:g} s.",
     )
 
 

@@ -19,8 +19,9 @@ from ..params import Effect, specs
 from ..rig import PARTS
 from ..rigfile import RigSpec
 from ..signals import Log, read_log
+from .closed_loop import check_loop
 from .fit import Point, fit_force, fit_jointly, fit_pressures
-from .outcome import Outcome
+from .outcome import LoopCheck, Outcome
 from .prepare import Data, prepare, runs_backward
 from .problem import COULOMB, Free, Problem, free_effect, free_parameters
 from .starts import best_start
@@ -270,11 +271,26 @@ def _settled(state: Tracing) -> tuple[Tracing, tuple[str, ...]]:
     return replace(state, problem=problem, point=point), (said,)
 
 
+def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
+    """The first log kept for the check, run again in the identified rig's loop."""
+    if case.fit.driven_by != "u":
+        return ()
+    values = dict(
+        zip(state.problem.model.names, state.point.values.tolist(), strict=True)
+    )
+    added = tuple(a.name for a in state.added)
+    log = case.check_logs[0]
+    done = check_loop(case.spec, log, values, added, case.fit.travel)
+    return (done,) if done else ()
+
+
 def _outcome(command, case, state, base, began, compiled, tell) -> Outcome:
     tell("errors, intervals and what is left")
     state, said = _settled(state)
     outcome = summarise(command, case, state, base)
     outcome = replace(outcome, limits=(*said, *outcome.limits))
+    tell("the closed loop again")
+    outcome = replace(outcome, loops=_loops(case, state))
     total = time.perf_counter() - began
     seconds = {"compile": compiled.seconds, "run": total - compiled.seconds}
     return replace(outcome, seconds=seconds)

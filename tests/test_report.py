@@ -14,6 +14,7 @@ from hydrojax.identify.outcome import (
     Candidate,
     Channel,
     Effect,
+    LoopCheck,
     Outcome,
     Parameter,
     Series,
@@ -130,7 +131,20 @@ def explained() -> Outcome:
             series("validate.csv", 23500, lack),
             series("slow <b>.csv", 9000, lack),
         ),
+        loops=(loop_check(),),
     )
+
+
+def loop_check() -> LoopCheck:
+    """A run of 8 s that the simulated loop follows within 4 N."""
+    t = np.arange(0.5, 8.5, 1e-3)
+    desired = 400 * np.sin(2 * t) + 90 * np.sin(17 * t)
+    measured = desired - 20 * np.cos(17 * t)
+    off = 4 * np.sin(300 * t)
+    return LoopCheck(
+        "validate.csv", t, desired, measured, measured - off, 2.83, 14.1, 14.4,
+        "a pressure left (P_r, P_s): P_a1 in 3 of 8000 samples",
+    )  # fmt: skip
 
 
 def nothing_missing() -> Outcome:
@@ -175,6 +189,7 @@ def identified() -> Outcome:
         candidates=(),
         channels=channels(P_a1=(9.0, 1.0), F=(np.nan, np.nan)),
         parameters=PARAMETERS | {"beta": parameter(np.nan, "Pa", np.inf)},
+        loops=(),
     )
 
 
@@ -192,6 +207,7 @@ CONTRACT = {
     "effects": list,
     "candidates": list,
     "unexplained": list,
+    "closed_loop": list,
     "limits": list,
     "notes": list,
     "seconds": dict,
@@ -200,6 +216,7 @@ RECORDS = {
     "effects": {"name", "parameters", "p_value", "before", "after", "cannot_tell_from"},
     "candidates": {"name", "status", "p_value", "power"},
     "unexplained": {"channel", "excess", "unit", "follows", "says"},
+    "closed_loop": {"log", "unit", "rms", "tracking_measured", "tracking_simulated"},
 }
 FREE = {"value", "std", "unit", "interval", "start", "at_bound", "identified", "held"}
 
@@ -457,3 +474,13 @@ def test_quantities_read_as_an_engineer_writes_them(value, unit, std, wanted):
 )
 def test_signals_tell_their_unit(name, wanted):
     assert figures.signal_unit(name, "V") == wanted
+
+
+def test_the_loop_run_again_stands_in_the_page(written):
+    text = (written / "explained" / "report.html").read_text(encoding="utf-8")
+    assert "The closed loop, run again" in text and "2.83 N" in text
+    assert "a pressure left (P_r, P_s)" in text
+    found = json.loads((written / "explained" / "report.json").read_text())
+    assert found["closed_loop"][0]["tracking_measured"] == 14.1
+    other = (written / "identified" / "report.html").read_text(encoding="utf-8")
+    assert "closed loop" not in other

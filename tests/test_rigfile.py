@@ -261,7 +261,7 @@ def test_bad_unit(tmp_path: Path, old: str, new: str, words: tuple[str, ...]) ->
         ),
         ('layout = "pull-pull"', "", ("layout is missing", "pull-pull")),
         ('layout = "pull-pull"', "layout = 3", ("layout 3",)),
-        ("k = 3", "k = [3]", ("[controller] k:", "[3]", "text")),
+        ("k = 3", "k = { a = 1 }", ("[controller] k:", "{'a': 1}", "text")),
         (
             "[effects.viscous_friction]",
             "[effects]\nb = 3",

@@ -1,0 +1,91 @@
+"""How names, units and numbers are printed in reports and pictures."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+_PREFIXES = {
+    "Pa": {1e9: "G", 1e6: "M", 1e3: "k", 1.0: ""},
+    "N": {1e6: "M", 1e3: "k", 1.0: ""},
+    "V": {1.0: "", 1e-3: "m"},
+    "m": {1.0: "", 1e-3: "m", 1e-6: "µ"},
+    "s": {1.0: "", 1e-3: "m", 1e-6: "µ"},
+    "rad": {1.0: "", 1e-3: "m"},
+}
+_GREEK = ("alpha", "beta", "delta", "eps", "omega", "psi", "sigma", "tau", "zeta")
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def raised(exponent: str | int) -> str:
+    """An exponent in raised figures."""
+    return str(exponent).translate(_RAISED)
+
+
+def pretty_unit(unit: str) -> str:
+    """A unit as it is printed: `m^3/(s*Pa^0.5)` becomes `m³/(s·√Pa)`."""
+    if unit in ("1", ""):
+        return ""
+    unit = re.sub(r"(\w+)\^0\.5", r"√\1", unit)
+    unit = re.sub(r"\^(-?\d+)", lambda m: raised(m[1]), unit)
+    return unit.replace("*", "·")
+
+
+def engineering(size: float, unit: str) -> tuple[float, str]:
+    """What one printed unit is in SI, and its name, for numbers about `size`.
+
+    Only a unit that leads with a plain Pa, N, V, m, s or rad takes a prefix.
+    """
+    lead = re.match(r"(Pa|N|V|m|s|rad)(?![\w^])", unit)
+    size = abs(size)
+    if lead is None or not np.isfinite(size) or size == 0.0:
+        return 1.0, pretty_unit(unit)
+    # A hair below the next prefix, rounding would print 1000.
+    fit = [f for f in _PREFIXES[lead[1]] if f <= size * 1.0005]
+    factor = max(fit, default=min(_PREFIXES[lead[1]]))
+    return factor, _PREFIXES[lead[1]][factor] + pretty_unit(unit)
+
+
+def symbol(name: str) -> str:
+    """A name as mathematics: `P_a1 + P_a2`, `abs(u)`, `u_rate`, `beta`."""
+    name = re.sub(r"abs\((.*)\)", r"|\1|", name)
+
+    def one(m: re.Match[str]) -> str:
+        stem, sub = m[1], m[2] or ""
+        if stem in _GREEK:
+            stem = {"eps": r"\varepsilon"}.get(stem, rf"\{stem}")
+        elif len(stem) > 1:
+            stem = rf"\mathrm{{{stem}}}"
+        if sub == "rate":
+            return rf"$\dot{{{stem}}}$"
+        return f"${stem}_{{\\mathrm{{{sub}}}}}$" if sub else f"${stem}$"
+
+    return re.sub(r"([A-Za-z]+)(?:_(\w+))?", one, name).replace(" - ", " − ")
+
+
+def signal_unit(name: str, command: str = "") -> str:
+    """SI unit of a signal of a `Series`, as its name tells; `command` is that of u."""
+    stem = re.sub(r"[^A-Za-z_].*", "", name.removeprefix("abs("))
+    rate, stem = stem.endswith("_rate"), stem.removesuffix("_rate")
+    units = {"x": "m", "z": "m", "v": "m/s", "a": "m/s^2", "psi": "rad", "t": "s"}
+    units |= {"F": "N", "F_d": "N", "P": "Pa", "u": command}
+    unit = units.get(stem, "Pa" if stem.startswith("P_") else "")
+    return f"{unit or 1}/s" if rate else unit
+
+
+def words(name: str) -> str:
+    """An effect's name as plain words."""
+    return name.replace("_", " ")
+
+
+def p_text(p: float) -> str:
+    """A p-value as it is printed."""
+    if not np.isfinite(p):
+        return "–"
+    if p < 1e-300:
+        return "< 10⁻³⁰⁰"
+    if p >= 0.001:
+        return f"{p:.2g}"
+    mantissa, exponent = f"{p:.0e}".split("e")
+    return f"{mantissa} × 10{raised(int(exponent))}"
