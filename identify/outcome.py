@@ -111,11 +111,20 @@ class LoopCheck:
 
 
 @dataclass(frozen=True)
+class Covariance:
+    """Covariance [n, n] of the fitted parameters inside their ranges, by name; SI."""
+
+    names: tuple[str, ...]
+    matrix: np.ndarray
+
+
+@dataclass(frozen=True)
 class Outcome:
     """All that `identify` or `trace` found.
 
     `verdict` is "nothing missing", "explained" or "unknown"; `sentence` says it.
-    `limits` are sentences on what is at a range's end or not identified.
+    `limits` are sentences on what is at a range's end or not identified. `rig_file` is
+    the rig file with the identified values and the effects found.
     """
 
     command: str
@@ -134,3 +143,5 @@ class Outcome:
     seconds: dict[str, float] = field(default_factory=dict)
     series: tuple[Series, ...] = ()
     loops: tuple[LoopCheck, ...] = ()
+    covariance: Covariance | None = None
+    rig_file: str = ""

@@ -41,6 +41,7 @@ def json_of(outcome: Outcome) -> dict[str, Any]:
         "candidates": [asdict(c) for c in o.candidates],
         "unexplained": [asdict(u) for u in o.unexplained],
         "closed_loop": [_loop(c) for c in o.loops],
+        "covariance": asdict(o.covariance) if o.covariance else None,
         "limits": o.limits,
         "notes": o.notes,
         "seconds": o.seconds,
@@ -320,7 +321,7 @@ def page(outcome: Outcome, shown: Sequence[Picture]) -> str:
 
 
 def write_report(outcome: Outcome, folder: Path) -> None:
-    """Write report.json, report.html and the figures into `folder`.
+    """Write report.json, report.html, the figures and rig.toml into `folder`.
 
     All is made before the first file appears; a report that stands there is replaced,
     and files that are not a report's stay.
@@ -330,6 +331,8 @@ def write_report(outcome: Outcome, folder: Path) -> None:
     files = {f"report_{p.name}.png": p.png for p in shown}
     files["report.html"] = page(outcome, shown).encode()
     files["report.json"] = (text + "\n").encode()
+    if outcome.rig_file:
+        files["rig.toml"] = outcome.rig_file.encode()
     folder.parent.mkdir(parents=True, exist_ok=True)
     beside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:

@@ -16,6 +16,7 @@ from ..channels import QUEUE
 from ..effects import EFFECTS
 from ..errors import InputError
 from ..params import Effect, specs
+from ..rewrite import rewrite
 from ..rig import PARTS
 from ..rigfile import RigSpec
 from ..signals import Log, read_log
@@ -275,12 +276,9 @@ def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
     """The first log kept for the check, run again in the identified rig's loop."""
     if case.fit.driven_by != "u":
         return ()
-    values = dict(
-        zip(state.problem.model.names, state.point.values.tolist(), strict=True)
-    )
     added = tuple(a.name for a in state.added)
     log = case.check_logs[0]
-    done = check_loop(case.spec, log, values, added, case.fit.travel)
+    done = check_loop(case.spec, log, state.named, added, case.fit.travel)
     return (done,) if done else ()
 
 
@@ -290,7 +288,11 @@ def _outcome(command, case, state, base, began, compiled, tell) -> Outcome:
     outcome = summarise(command, case, state, base)
     outcome = replace(outcome, limits=(*said, *outcome.limits))
     tell("the closed loop again")
-    outcome = replace(outcome, loops=_loops(case, state))
+    outcome = replace(
+        outcome,
+        loops=_loops(case, state),
+        rig_file=rewrite(case.spec, state.named, [a.name for a in state.added]),
+    )
     total = time.perf_counter() - began
     seconds = {"compile": compiled.seconds, "run": total - compiled.seconds}
     return replace(outcome, seconds=seconds)

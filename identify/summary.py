@@ -16,6 +16,7 @@ from .measured import CHANNELS
 from .outcome import (
     Candidate,
     Channel,
+    Covariance,
     Effect,
     Outcome,
     Parameter,
@@ -75,6 +76,7 @@ def summarise(command: str, case: Case, state: Tracing, base: Point) -> Outcome:
         limits=belief.limits,
         notes=_notes(case),
         series=_series(case, before, after, signals, seen),
+        covariance=Covariance(belief.inside, belief.covariance),
     )
 
 

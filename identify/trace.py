@@ -68,6 +68,13 @@ class Tracing:
         """Each channel's noise, [3]."""
         return np.asarray(self.problem.batch.noise)
 
+    @property
+    def named(self) -> dict[str, float]:
+        """Every parameter's value by name, SI."""
+        return dict(
+            zip(self.problem.model.names, self.point.values.tolist(), strict=True)
+        )
+
 
 def trace(state: Tracing) -> Tracing:
     """Look for effects until none is left that matters: pressures first, then all.

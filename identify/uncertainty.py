@@ -27,13 +27,15 @@ class Belief:
 
     `std` by name, None at an end of the range; `vague` names those not identified;
     `limits` says in sentences what is at a range's end, and which combination of the
-    vague ones the logs do tell.
+    vague ones the logs do tell. `covariance` [n, n] is of the parameters `inside`, SI.
     """
 
     std: dict[str, float | None]
     ends: frozenset[str]
     vague: tuple[str, ...]
     limits: tuple[str, ...]
+    inside: tuple[str, ...]
+    covariance: np.ndarray
 
 
 def believe(problem: Problem, point: Point, free: Sequence[str]) -> Belief:
@@ -72,7 +74,14 @@ def believe(problem: Problem, point: Point, free: Sequence[str]) -> Belief:
     limits = [_at_end(name, end) for name, end in ends.items()]
     if vague:
         limits += _in_words(vague, inside, H)
-    return Belief(std, frozenset(ends), tuple(vague), tuple(limits))
+    return Belief(
+        std,
+        frozenset(ends),
+        tuple(vague),
+        tuple(limits),
+        tuple(inside),
+        covariance * np.outer(scale, scale),
+    )
 
 
 def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from hydrojax.identify import figures, report
 from hydrojax.identify.outcome import (
     Candidate,
     Channel,
+    Covariance,
     Effect,
     LoopCheck,
     Outcome,
@@ -132,6 +133,7 @@ def explained() -> Outcome:
             series("slow <b>.csv", 9000, lack),
         ),
         loops=(loop_check(),),
+        covariance=Covariance(("beta", "k_0"), np.array([[1e12, 3.0], [3.0, 1.0]])),
     )
 
 
@@ -208,6 +210,7 @@ CONTRACT = {
     "candidates": list,
     "unexplained": list,
     "closed_loop": list,
+    "covariance": dict,
     "limits": list,
     "notes": list,
     "seconds": dict,
