@@ -38,6 +38,10 @@ Logs = Annotated[
 ]
 Horizon = Annotated[float, typer.Option(help="Length of a replay window, s.", min=0.01)]
 Out = Annotated[Path, typer.Option(help="Folder for the report and its figures.")]
+Effects = Annotated[
+    list[Path] | None,
+    typer.Option(help="Python file with effects of your own; may be repeated."),
+]
 
 
 @contextmanager
@@ -77,10 +81,12 @@ def identify(
     out: Out = Path("hydrojax-identify"),
     horizon: Horizon = 0.25,
     starts: Annotated[int, typer.Option(help="Fits from so many starts.", min=1)] = 4,
+    effects: Effects = None,
 ) -> None:
     """Fit the declared model to logs; say how well it does and can be believed."""
     _check_out(out)
     set_up_jax(user_cache())
+    _load_effects(effects)
     from .identify import run
 
     with _progress() as tell:
@@ -107,9 +113,10 @@ def trace(
     level: Annotated[
         float, typer.Option(help="Family-wise significance.", min=1e-12, max=0.5)
     ] = 0.01,
+    effects: Effects = None,
 ) -> None:
     """Close the loop: fit, residual, the effect behind it, refit, before and after."""
-    _trace(rig, logs, validate, out, horizon, starts, matters, level)
+    _trace(rig, logs, validate, out, horizon, starts, matters, level, effects)
 
 
 @app.command()
@@ -222,6 +229,98 @@ def _number(text: str) -> str | float:
 
 
 @app.command()
+def excite(
+    rig: RigFile,
+    separate: Annotated[
+        list[str] | None,
+        typer.Option(help="Two effects to be told apart: both words that follow."),
+    ] = None,
+    force: Annotated[str, typer.Option(help="Most of the desired force.")] = "800 N",
+    speed: Annotated[str, typer.Option(help="Most of the speed.")] = "25 mm/s",
+    travel: Annotated[str, typer.Option(help="Most from mid-stroke.")] = "20 mm",
+    seconds: Annotated[float, typer.Option(help="Length.", min=1.0, max=60.0)] = 8.0,
+    out: Annotated[
+        Path, typer.Option(help="The course: CSV(.gz), Parquet or MAT.")
+    ] = Path("hydrojax-excite.csv"),
+) -> None:
+    """Find the reference and motion that tell most of what is not identified."""
+    _check_file(out)
+    set_up_jax(user_cache())
+    from . import record, units
+    from .build import load_rig
+    from .identify.excite import Limits, design
+    from .identify.naming import quantity
+
+    record.check_kind(out)
+    spec = load_rig(rig)
+    both = [name for word in separate or [] for name in word.split(",")]
+    if both and len(both) != 2:
+        raise InputError(f"--separate {' '.join(both)}: name two effects")
+    most = [
+        units.quantity(text, unit, f"--{name}")
+        for name, text, unit in (
+            ("force", force, "N"), ("speed", speed, "m/s"), ("travel", travel, "m"),
+        )
+    ]  # fmt: skip
+    if min(most) <= 0:
+        raise InputError("--force, --speed and --travel must be above 0")
+    with _progress() as tell:
+        found = design(spec, Limits(*most, seconds), both, tell=tell)
+    record.write_log(out, record.course_columns(found.t, found.F_d, found.x, spec))
+    what = "least size shown" if both else "standard deviation"
+    table = Table(what, "undesigned", "designed", "times better")
+    for name, before in found.before.items():
+        unit = found.units[name]
+        after = found.after[name]
+        table.add_row(
+            name, quantity(before, unit), quantity(after, unit), f"{before / after:.2g}"
+        )
+    console.print(table)
+    console.print(f"reference and motion in {out}: simulate --reference and --motion")
+
+
+@app.command()
+def bounds(
+    rig: RigFile,
+    logs: Logs,
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option(help="Logs whose plants take no part: all words that follow."),
+    ] = None,
+    out: Out = Path("hydrojax-bounds"),
+    confidence: Annotated[
+        float, typer.Option(help="That the box holds.", min=0.5, max=0.999)
+    ] = 0.95,
+    stretch: Annotated[float, typer.Option(help="Length of a fit, s.", min=0.5)] = 2.0,
+) -> None:
+    """Find the adaptive law's friction bounds from many fits, and refine them."""
+    _check_out(out)
+    set_up_jax(user_cache())
+    import json
+
+    from . import roof
+    from .identify import run
+
+    with _progress() as tell:
+        case = run.open_case(rig, logs, validate or ())
+        found = roof.friction_bounds(case, confidence, stretch, tell)
+        figure = roof.bounds_figure(found)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "rig.toml").write_text(found.rig_file, encoding="utf-8")
+    (out / "bounds.json").write_text(json.dumps(roof.json_of(found), indent=1) + "\n")
+    figure.savefig(out / "bounds.png", dpi=120)
+    table = Table("F_d - F, N RMS", "plants fitted", "plants that took no part")
+    for way, error in found.fitted.items():
+        other = f"{found.others[way]:.3g}" if found.others else "-"
+        table.add_row(f"{way} bounds", f"{error:.3g}", other)
+    console.print(table)
+    console.print(
+        f"{len(found.fits)} stretches of {found.fits[0].seconds:.3g} s; rig.toml with "
+        f"the refined bounds, bounds.json and bounds.png in {out}"
+    )
+
+
+@app.command()
 def paper(out: Out = Path("hydrojax-paper")) -> None:
     """Repeat the paper's experiments on the reference rig: Figs. 2 to 5."""
     _check_out(out)
@@ -258,6 +357,13 @@ def paper(out: Out = Path("hydrojax-paper")) -> None:
     )
 
 
+def _load_effects(files: list[Path] | None) -> None:
+    from .effects import load_effects
+
+    for path in files or ():
+        load_effects(path)
+
+
 def _trace(
     rig: Path,
     logs: list[Path],
@@ -267,9 +373,11 @@ def _trace(
     starts: int = 1,
     matters: float = 0.02,
     level: float = 0.01,
+    effects: list[Path] | None = None,
 ) -> None:
     _check_out(out)
     set_up_jax(user_cache())
+    _load_effects(effects)
     from .identify import run
 
     with _progress() as tell:
@@ -280,7 +388,8 @@ def _trace(
 
 def _finish(outcome: Outcome, out: Path) -> None:
     """Write the report and show the gist of it."""
-    from .identify.report import quantity, write_report
+    from .identify.naming import quantity
+    from .identify.report import write_report
 
     write_report(outcome, out)
     console.print(f"[bold]{outcome.verdict}[/bold]  {outcome.sentence}\n")
@@ -328,7 +437,7 @@ def options(
     """What holds for every command."""
 
 
-SEVERAL = ("--validate", "--gains")
+SEVERAL = ("--validate", "--gains", "--separate")
 """Options that take all words that follow."""
 
 

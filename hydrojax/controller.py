@@ -200,7 +200,7 @@ def _law(keys: Values, nominal: Rig, spec: RigSpec, P_r: float) -> Law:
     def value(name: str) -> jax.Array:
         return _array(_one(keys, name) * scale(name))
 
-    bounds = _default_bounds(nominal)
+    bounds = default_bounds(nominal)
     for name in Nine._fields:
         if name in keys:
             bounds[name] = tuple(end * scale(name) for end in keys[name])
@@ -219,7 +219,7 @@ def _law(keys: Values, nominal: Rig, spec: RigSpec, P_r: float) -> Law:
     )
 
 
-def _default_bounds(nominal: Rig) -> dict[str, tuple[float, float]]:
+def default_bounds(nominal: Rig) -> dict[str, tuple[float, float]]:
     """The paper's bounds, or wider ones where the rig's own values ask for it.
 
     Of presliding the paper prints none. They keep off zero and well below infinity:

@@ -212,16 +212,29 @@ def log_path(log: Log, spec: RigSpec, rows: tuple[int, int]) -> simulation.Path:
     return path
 
 
+def place_column(x: np.ndarray, spec: RigSpec) -> tuple[str, str, np.ndarray]:
+    """Name, unit and values of the position [n] (m) as this rig logs it."""
+    radius = spec.geometry.get("radius")
+    if radius:
+        return "psi", "rad", x / radius
+    return "x", "m", x + spec.geometry.get("x_mid", 0.0)
+
+
+def course_columns(
+    t: np.ndarray, F_d: np.ndarray, x: np.ndarray, spec: RigSpec
+) -> dict[str, tuple[str, np.ndarray]]:
+    """A course as a log that `read_course` takes; [n] each, s, N, m."""
+    name, unit, place = place_column(x, spec)
+    return {"time": ("s", t), name: (unit, place), "F_d": ("N", F_d)}
+
+
 def columns(run: Run, spec: RigSpec) -> dict[str, tuple[str, np.ndarray]]:
     """A run's log: unit and values by the contract's names."""
-    radius = spec.geometry.get("radius")
-    place = ("psi", "rad", run["x"] / radius) if radius else (
-        "x", "m", run["x"] + spec.geometry.get("x_mid", 0.0)
-    )  # fmt: skip
+    place, unit, values = place_column(run["x"], spec)
     out = {
         "time": ("s", run.t),
         "u": (spec.command_unit, run["u"]),
-        place[0]: place[1:],
+        place: (unit, values),
     }
     for name in ("P_a1", "P_a2", "P_s", "F"):
         if not (spec.layout == "single" and name == "P_a1"):

@@ -16,7 +16,7 @@ from typing import Any
 import jinja2
 
 from . import figures
-from .naming import engineering, p_text, raised, words
+from .naming import p_text, quantity, words
 from .outcome import Channel, Effect, LoopCheck, Outcome, Parameter
 from .trace import AT_NOISE
 
@@ -93,53 +93,6 @@ def _strict(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def quantity(
-    value: float, unit: str, std: float | None = None, figures: int = 4
-) -> str:
-    """A number as an engineer writes it: `857.6 ± 1.2 MPa`.
-
-    Two figures of the standard deviation say how many of the value are printed;
-    without one, `figures` are.
-    """
-    if value is None or not math.isfinite(value):
-        return "–"
-    known = std is not None and math.isfinite(std) and std > 0
-    spread = std if known and std is not None else 0.0
-    size = max(abs(value), spread)
-    factor, name = engineering(size, unit)
-    power = 0
-    if size and not 1e-3 <= size / factor < 1e5:
-        power = math.floor(math.log10(size / factor))
-        factor *= 10.0**power
-    last = _last_figure(
-        spread / factor if known else size / factor, 2 if known else figures
-    )
-    number = _fixed(value / factor, last)
-    text = f"{number} ± {_fixed(spread / factor, last)}" if known else _bare(number)
-    if power:
-        text = f"({text})" if known else text
-        text += f" × 10{raised(power)}"
-    return f"{text} {name}".rstrip()
-
-
-def _last_figure(size: float, figures: int) -> int:
-    """Decimals at which `figures` figures of `size` are printed; may be negative."""
-    if size == 0:
-        return 0
-    # By way of text, for what rounding carries over a power of ten.
-    return figures - 1 - int(f"{size:.{figures - 1}e}".split("e")[1])
-
-
-def _fixed(value: float, decimals: int) -> str:
-    text = f"{round(value, decimals):.{max(decimals, 0)}f}"
-    return text.replace("-", "−") if float(text) else text.lstrip("-")
-
-
-def _bare(number: str) -> str:
-    """A decimal without the zeros that say nothing."""
-    return number.rstrip("0").rstrip(".") if "." in number else number
 
 
 def change(p: Parameter) -> str:

@@ -174,19 +174,27 @@ def _fit_base(
     return problem, values, done, point
 
 
-def identify(case: Case, starts: int = 4, tell: Tell = lambda _: None) -> Outcome:
-    """Fit the declared model, and say how well it does and can be believed."""
-    began = time.perf_counter()
+def fit_case(case: Case, starts: int = 4, tell: Tell = lambda _: None) -> Tracing:
+    """Fit the declared model: where it stands, before anything is said of it.
+
+    Raises:
+        InputError: no parameter of the rig file has a range.
+    """
     problem, check, free, _ = _problems(case, ())
     if not free:
         raise InputError(
             f"{case.spec.path}: nothing to identify: give at least one parameter a "
             'range, as in beta = { start = "8e8 Pa", range = ["1e8 Pa", "3e9 Pa"] }'
         )
-    compiled = _Compiling()
     *_, problem, point = _fit_base(problem, free, starts, tell)
-    state = Tracing(problem, check, {}, free, point, 0.02, 0.01, tell)
-    return _outcome("identify", case, state, point, began, compiled, tell)
+    return Tracing(problem, check, {}, free, point, 0.02, 0.01, tell)
+
+
+def identify(case: Case, starts: int = 4, tell: Tell = lambda _: None) -> Outcome:
+    """Fit the declared model, and say how well it does and can be believed."""
+    began, compiled = time.perf_counter(), _Compiling()
+    state = fit_case(case, starts, tell)
+    return _outcome("identify", case, state, state.point, began, compiled, tell)
 
 
 def trace_case(

@@ -1,0 +1,143 @@
+"""The law's friction bounds, refined so that it tracks best on identified plants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from scipy import optimize
+
+from ..loop import Course, Loop, run
+from ..named import put
+
+SETTLE = 0.25
+"""Share of a run that is not counted: the estimates find their places."""
+
+MOST_STEPS = 25
+
+FLOOR = 1e-9
+"""Least half-width of a bound, of its scale: its derivative has to stay alive."""
+
+
+@dataclass(frozen=True)
+class Plants:
+    """Plants that differ in friction: `theta` [K, n] of the parameters `names`, SI."""
+
+    names: tuple[str, ...]
+    theta: np.ndarray
+
+
+def with_bounds(
+    loop: Loop,
+    names: Sequence[str],
+    lower: np.ndarray | Array,
+    upper: np.ndarray | Array,
+) -> Loop:
+    """The loop with other bounds of some of theta_f, SI."""
+    law = loop.law
+    new = {
+        "lower": law.lower._replace(**dict(zip(names, lower, strict=True))),
+        "upper": law.upper._replace(**dict(zip(names, upper, strict=True))),
+    }
+    return eqx.tree_at(
+        lambda lo: (lo.law.lower, lo.law.upper), loop, (new["lower"], new["upper"])
+    )
+
+
+@eqx.filter_jit
+def _errors(loop: Loop, names: tuple[str, ...], theta: Array, courses: Course) -> Array:
+    """Tracking error of every plant on every course, RMS after SETTLE, [K, M], N."""
+
+    def one(values, course):
+        plant = eqx.tree_at(lambda lo: lo.rig, loop, put(loop.rig, names, values))
+        off = course.F_d - run(plant, course, ("true_F",))[:, 0]
+        late = off[int(SETTLE * off.shape[0]) :]
+        return jnp.sqrt(jnp.mean(late**2))
+
+    over = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))
+    return over(theta, courses)
+
+
+def tracking(loop: Loop, plants: Plants, courses: Course) -> np.ndarray:
+    """Tracking error of every plant on every course, RMS, [K, M], N.
+
+    Args:
+        loop: with the law's bounds, and a plant that lends all but `plants.names`.
+        plants: K of them.
+        courses: M of equal length, stacked along the first axis.
+    """
+    theta = jnp.asarray(plants.theta)
+    return np.asarray(_errors(loop, plants.names, theta, courses))
+
+
+def refine(
+    loop: Loop,
+    plants: Plants,
+    courses: Course,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    limits: Sequence[tuple[float, float]],
+    tell: Callable[[str], None] = lambda _: None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move the bounds of theta_f to where the plants are tracked best.
+
+    Gradient descent (L-BFGS-B) through the closed loop on the mean squared error over
+    plants and courses; the estimates begin midway between the bounds, so both where
+    they start and where they may go is found.
+
+    Args:
+        loop: the loop whose law is refined.
+        plants: K identified plants.
+        courses: M courses of equal length, stacked.
+        lower: [n] bounds to start from, SI, of `plants.names`.
+        upper: likewise.
+        limits: what each parameter may be at all, SI.
+        tell: hears how it goes.
+
+    Returns:
+        The refined bounds, [n] each.
+    """
+    low, high = np.array(limits, float).T
+    scale = np.maximum(np.maximum(np.abs(lower), np.abs(upper)), 1e-12)
+    theta = jnp.asarray(plants.theta)
+
+    def bounds(at):
+        middle, half = at[: scale.size] * scale, at[scale.size :] * scale
+        return jnp.clip(middle - half, low, high), jnp.clip(middle + half, low, high)
+
+    def cost(at):
+        held = with_bounds(loop, plants.names, *bounds(at))
+        return jnp.mean(_errors(held, plants.names, theta, courses) ** 2)
+
+    # Forward mode: some dozen directions, and no run of thousands of steps to store.
+    both = jax.jit(lambda at: (cost(at), jax.jacfwd(cost)(at)))
+    start = np.concatenate([(lower + upper) / 2 / scale, (upper - lower) / 2 / scale])
+    start[scale.size :] = np.maximum(start[scale.size :], FLOOR)
+
+    def evaluate(at):
+        value, slope = both(jnp.asarray(at))
+        return float(value), np.asarray(slope)
+
+    first, _ = evaluate(start)
+
+    def step(at):
+        tell(f"refine the bounds: {np.sqrt(evaluate(at)[0]):.3g} N RMS")
+
+    reach = [*zip(low / scale, high / scale, strict=True)]
+    reach += [(FLOOR, max(b - a, FLOOR)) for a, b in reach]
+    found = optimize.minimize(
+        lambda at: tuple(v / first for v in evaluate(at)),
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=reach,
+        callback=step,
+        options={"maxiter": MOST_STEPS, "ftol": 1e-5},
+    )
+    ends = bounds(jnp.asarray(found.x))
+    return np.asarray(ends[0]), np.asarray(ends[1])
