@@ -165,7 +165,7 @@ WHY = {
 
 
 def _candidates(state: Tracing) -> tuple[Candidate, ...]:
-    p = family({n: s.p_value for n, s in state.scores.items()})
+    p = family(state.scores)
     first = {a.name: a for a in state.added}
     out = []
     for name, s in state.scores.items():

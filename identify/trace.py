@@ -216,7 +216,7 @@ def _round(
     noise: np.ndarray,
 ) -> Tracing:
     """Refit the best few candidates and add the one that helps most, if one does."""
-    p = family({n: s.p_value for n, s in scores.items()})
+    p = family(scores)
     least = 0.5 * _size_that_matters(state, noise)
     worth = [
         s
@@ -337,7 +337,7 @@ def status(state: Tracing, name: str) -> str:
     s = state.scores.get(name)
     if s is None:
         return "cannot tell"
-    p = family({n: x.p_value for n, x in state.scores.items()})[name]
+    p = family(state.scores)[name]
     if p < state.level:
         return "rejected"
     return "absent" if s.power >= 0.8 else "cannot tell"

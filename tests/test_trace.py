@@ -6,6 +6,7 @@ Scores are checked against plain least squares in NumPy, truths come from the ge
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from collections.abc import Callable
 
 import numpy as np
@@ -14,7 +15,7 @@ from hydrojax.identify import run
 from hydrojax.identify.describe import dependence, spectral_line, unexplained
 from hydrojax.identify.outcome import Outcome
 from hydrojax.identify.report import json_of, write_report
-from hydrojax.identify.score import Projection, family, score
+from hydrojax.identify.score import Projection, Score, family, score
 from scipy import stats
 
 from tests import generator
@@ -296,16 +297,49 @@ def test_the_test_keeps_its_level_and_its_power():
     assert seen == pytest.approx(exact, abs=0.1)
 
 
-def test_families_by_holm():
-    p = {"a": 0.01, "b": 0.04, "c": 0.03, "d": 0.005}
-    wanted = {"d": 0.02, "a": 0.03, "c": 0.06, "b": 0.06}
-    found = family(p)
-    assert set(found) == set(p)
-    for name, value in wanted.items():
-        assert found[name] == pytest.approx(value)
-    assert family({"a": 0.7, "b": 0.8}) == {"a": 1.0, "b": 1.0}
-    assert family({"a": 0.3}) == {"a": 0.3}
+def drawn_scores(rng: np.random.Generator, mix: np.ndarray) -> dict[str, Score]:
+    """Scores of chance alone, of candidates that look alike as `mix` says."""
+    X = rng.normal(size=(120, mix.shape[0])) @ mix
+    out = {}
+    for k, own in enumerate(X.T):
+        chi2 = own.sum() ** 2 / np.sum(own**2)
+        p = float(stats.chi2.sf(chi2, 1))
+        zero = np.zeros(1)
+        out[str(k)] = Score(str(k), 1.0, zero, p, 1.0, 0.1, 1.0, {}, own[:, None])
+    return out
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.95])
+def test_the_family_keeps_its_level(alike):
+    """Of 400 families of 20 candidates without any effect some 5 % have p < 0.05.
+
+    Holm's method would give a fifth of that where candidates look alike.
+    """
+    rng = np.random.default_rng(7)
+    mix = np.sqrt(1 - alike) * np.eye(21)[:, :20]
+    mix[20] = np.sqrt(alike)
+    false = [min(family(drawn_scores(rng, mix)).values()) < 0.05 for _ in range(400)]
+    # Three standard deviations of a share of 0.05 out of 400 are 0.033.
+    assert 0.05 - 0.033 < np.mean(false) < 0.05 + 0.033
+
+
+def test_a_family_of_one_and_of_none():
+    rng = np.random.default_rng(8)
+    (one,) = drawn_scores(rng, np.ones((1, 1))).values()
+    assert family({"a": one})["a"] == pytest.approx(one.p_value, abs=0.05)
     assert family({}) == {}
+    nothing = Score("b", 0.0, np.zeros(1), 1.0, 0.0, 0.0, 0.0)
+    assert family({"b": nothing}) == {"b": 1.0}
+
+
+def test_a_family_tells_what_is_clear_beyond_its_draws():
+    """An effect of p = 1e-12 stays clear, and costs at most what Bonferroni asks."""
+    rng = np.random.default_rng(9)
+    scores = drawn_scores(rng, np.eye(20))
+    clear = replace(scores["3"], p_value=1e-12)
+    found = family({**scores, "3": clear})
+    assert 1e-12 <= found["3"] <= 1.2 * 20 * 1e-12
+
 
 
 # -- what is left, in words --
