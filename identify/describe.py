@@ -7,12 +7,14 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import signal
 
-from .outcome import Unexplained
+from .outcome import Dependence, Unexplained
 
 BINS = 16
 """Quantiles of a signal between which the residual's mean is compared."""
 FOLLOWS = 0.08
 """Share of the residual's square that a signal's bins must hold to be named."""
+SHUFFLES = 99
+"""Exchanges of a signal's windows that say what chance would show."""
 LINE = 12.0
 """Height of a spectral line above the median of the spectrum to be named."""
 
@@ -32,44 +34,88 @@ def unexplained(
     """
     excess = float(np.sqrt(max(np.mean(residual**2) - noise**2, 0.0)))
     size = f"{channel} stays {_size(excess, unit)} RMS above its noise"
-    shares = {name: dependence(residual, s) for name, s in signals.items()}
-    best = max(shares, key=lambda n: shares[n], default="")
-    if best and shares[best] > FOLLOWS:
-        says = (
-            f"{size}; {100 * shares[best]:.0f} % of what is left goes with {best}, "
-            "more than with any other signal of the log"
-        )
-        return Unexplained(channel, excess, unit, best, says)
+    found = [Dependence(n, *dependence(residual, s)) for n, s in signals.items()]
+    tests = tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
     line, height = spectral_line(residual, tick)
-    if height > LINE:
+    clear = max((d for d in tests if d.share > FOLLOWS), key=_share, default=None)
+    if clear:
+        follows = clear.signal
+        says = (
+            f"{size}; {100 * clear.share:.0f} % of what is left goes with {follows} "
+            f"(p {clear.p_value:.2g}), more than with any other signal of the log"
+        )
+    elif height > LINE:
+        follows = "frequency"
         says = f"{size}; it stands out as a line near {line:.3g} Hz"
-        return Unexplained(channel, excess, unit, "frequency", says)
-    loud = np.log(residual**2 + (0.1 * noise) ** 2)
-    loud = loud - loud.mean()
-    swell = {name: dependence(loud, np.abs(s)) for name, s in signals.items()}
-    best = max(swell, key=lambda n: swell[n], default="")
-    if best and swell[best] > FOLLOWS:
-        high = np.abs(signals[best]) > np.median(np.abs(signals[best]))
-        where = "large" if loud[high].mean() > loud[~high].mean() else "small"
+    else:
+        follows, where = _swells(residual, noise, signals)
         says = (
             f"{size}; its sign goes with none of the log's signals, but it is larger "
-            f"where {best} is {where}"
+            f"where {follows} is {where}"
+            if where
+            else f"{size}; it goes with none of the log's signals and has no line"
         )
-        return Unexplained(channel, excess, unit, best, says)
-    says = f"{size}; it goes with none of the log's signals and has no line"
-    return Unexplained(channel, excess, unit, "none", says)
+    return Unexplained(
+        channel, excess, unit, follows, says, tests,
+        line if height > LINE else None, advice(channel, follows),
+    )  # fmt: skip
 
 
-def dependence(residual: np.ndarray, s: np.ndarray) -> float:
+def _share(d: Dependence) -> float:
+    return d.share
+
+
+def _swells(
+    residual: np.ndarray, noise: float, signals: Mapping[str, np.ndarray]
+) -> tuple[str, str]:
+    """The signal with whose size that of the residual goes, and which way."""
+    loud = np.log(residual**2 + (0.1 * noise) ** 2)
+    loud = loud - loud.mean()
+    swell = {name: dependence(loud, np.abs(s))[0] for name, s in signals.items()}
+    best = max(swell, key=lambda n: swell[n], default="")
+    if not best or swell[best] <= FOLLOWS:
+        return "none", ""
+    high = np.abs(signals[best]) > np.median(np.abs(signals[best]))
+    return best, "large" if loud[high].mean() > loud[~high].mean() else "small"
+
+
+_STROKES = "strokes of constant speed both ways, at six speeds from below 1 mm/s on"
+_PLACES = "the same strokes about three positions, and slow ones over the whole travel"
+_TRIANGLE = "a slow triangle of the command through zero, at two supply pressures"
+_HOLD = "a minute's hold with the valve shut, and runs at two supply pressures"
+_WARM = "the same run cold and warm, a minute long each"
+_FAST = "a multisine from 0.2 to 80 Hz at three amplitudes"
+_FREE = "free motion at more than 5 m/s^2"
+_STILL = "a hold at constant force: does the line stay, and move with pump or mains?"
+_LEVELS = "strokes of constant speed at two supply pressures"
+_BREAK = "a slow sine of force below breakaway, standing still"
+
+ADVICE = {
+    "frequency": (_STILL, _STILL), "v": (_STROKES, _FAST), "a": (_FREE, _FREE),
+    "x": (_PLACES, _PLACES), "psi": (_PLACES, _PLACES), "t": (_WARM, _WARM),
+    "u": (_TRIANGLE, _TRIANGLE), "abs(u)": (_TRIANGLE, _TRIANGLE),
+    "u_rate": (_FAST, _FAST), "F": (_BREAK, _FAST),
+    "P_a1 + P_a2": (_LEVELS, _HOLD), "P_a1 - P_a2": (_LEVELS, _HOLD),
+}  # fmt: skip
+"""What to record next where the force, or a pressure, follows a signal."""
+
+
+def advice(channel: str, follows: str) -> str:
+    """The excitation that would tell more of such a residual."""
+    return ADVICE.get(follows, (_FAST, _FAST))[channel != "F"]
+
+
+def dependence(residual: np.ndarray, s: np.ndarray) -> tuple[float, float]:
     """Share of the residual's square held by its means between quantiles of `s`.
 
-    Both [W, T]. Less what the same sum holds by chance, when the signal's windows are
-    exchanged among each other.
+    Both [W, T]. The share is less what the same sum holds by chance, when the signal's
+    windows are exchanged among each other; beside it the p-value that these exchanges
+    give, at least 1 / (SHUFFLES + 1).
     """
     residual = residual - residual.mean()
     edges = np.unique(np.quantile(s, np.linspace(0, 1, BINS + 1)[1:-1]))
     if edges.size < 2:
-        return 0.0
+        return 0.0, 1.0
     index = np.searchsorted(edges, s)
     count = np.maximum(np.bincount(index.ravel()), 1)
 
@@ -78,8 +124,11 @@ def dependence(residual: np.ndarray, s: np.ndarray) -> float:
         return np.sum(total**2 / count[: total.size])
 
     draw = np.random.default_rng(0)
-    chance = np.mean([held(index[draw.permutation(len(index))]) for _ in range(8)])
-    return float(max((held(index) - chance) / max(np.sum(residual**2), 1e-300), 0.0))
+    chance = [held(index[draw.permutation(len(index))]) for _ in range(SHUFFLES)]
+    own = held(index)
+    share = max((own - np.mean(chance)) / max(np.sum(residual**2), 1e-300), 0.0)
+    p = (1 + np.sum(np.array(chance) >= own)) / (SHUFFLES + 1)
+    return float(share), float(p)
 
 
 def spectral_line(residual: np.ndarray, tick: float) -> tuple[float, float]:

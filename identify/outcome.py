@@ -63,14 +63,32 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class Dependence:
+    """Whether what is left goes with a signal: the share of its square, and the chance
+    that signal and residual of unrelated windows would share as much.
+    """
+
+    signal: str
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True)
 class Unexplained:
-    """What stays above the noise: channel, size (SI), what it follows, in words."""
+    """What stays above the noise: channel, size (SI), what it follows, in words.
+
+    `tests` are of every signal, the clearest first; `line` the frequency (Hz) at which
+    it stands out, or None; `next` what to record to learn more.
+    """
 
     channel: str
     excess: float
     unit: str
     follows: str
     says: str
+    tests: tuple[Dependence, ...] = ()
+    line: float | None = None
+    next: str = ""
 
 
 @dataclass(frozen=True)

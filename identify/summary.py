@@ -73,11 +73,21 @@ def summarise(command: str, case: Case, state: Tracing, base: Point) -> Outcome:
         effects=effects,
         candidates=_candidates(state),
         unexplained=left,
-        limits=belief.limits,
+        limits=(*belief.limits, *_undecided(effects)),
         notes=_notes(case),
         series=_series(case, before, after, signals, seen),
         covariance=Covariance(belief.inside, belief.covariance),
     )
+
+
+def _undecided(effects: tuple[Effect, ...]) -> list[str]:
+    """What would decide between effects that these logs cannot tell apart."""
+    return [
+        f"{e.name} and {other} look alike in these logs: `hydrojax excite RIG "
+        f"--separate {e.name} {other}` finds a course that tells them apart"
+        for e in effects
+        for other in e.cannot_tell_from
+    ]
 
 
 def _notes(case: Case) -> tuple[str, ...]:

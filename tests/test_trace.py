@@ -6,8 +6,8 @@ Scores are checked against plain least squares in NumPy, truths come from the ge
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -368,13 +368,29 @@ def test_what_a_residual_follows_is_named(signals, name, law):
     assert left.follows == name
     assert name in left.says and "F stays" in left.says
     assert left.excess == pytest.approx(np.sqrt(np.mean(residual**2) - 1), rel=1e-9)
-    shares = {n: dependence(residual, s) for n, s in signals.items()}
+    shares = {n: dependence(residual, s)[0] for n, s in signals.items()}
     assert shares[name] > 0.2
     assert shares[name] > 1.3 * max(s for n, s in shares.items() if n != name)
 
 
+def test_every_signal_has_its_test(signals):
+    made = np.sign(signals["v"])
+    left = unexplained("F", "N", 1.0, 2 * made + white(0), signals, 1e-3)
+    p = {d.signal: d.p_value for d in left.tests}
+    assert set(p) == set(signals) and left.tests[0].signal == "v"
+    assert p["v"] == pytest.approx(0.01) and p["u"] > 0.01
+    assert "constant speed" in left.next and left.line is None
+
+
+def test_unrelated_windows_share_by_chance_alone():
+    """Of 60 noises against an unrelated slow signal few have a small p-value."""
+    slow = np.cumsum(white(99), axis=1)
+    p = np.array([dependence(white(seed), slow)[1] for seed in range(60)])
+    assert 0.25 < np.mean(p) < 0.75 and np.mean(p <= 0.05) < 0.15
+
+
 def test_a_constant_signal_is_never_followed():
-    assert dependence(white(0) + 5.0, np.ones((46, 250))) == 0.0
+    assert dependence(white(0) + 5.0, np.ones((46, 250))) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize("hertz", [13.0, 50.0, 217.0])
