@@ -13,7 +13,7 @@ from .control import Nine, mean_area
 from .loop import Course, Loop, run
 from .simulation import Run
 
-ROUNDS, LANES = 3, 12
+ROUNDS, LANES = 4, 12
 """Rounds of the search for the least supply pressure, and runs side by side in each."""
 
 
@@ -69,7 +69,7 @@ class Supply(NamedTuple):
 
 
 def supply_condition(loop: Loop, course: Course, out: Run) -> float:
-    """The right-hand side of (42) along a run, Pa; see `Supply`."""
+    """The right-hand side of (42) along a run, Pa; see `Supply`. For equal areas."""
     u = out["u"]
     busy = np.abs(u) >= np.max(np.abs(u)) / 10
     c, beta = loop.law.nominal.lands, float(loop.rig.chambers.beta)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 
-from .effects import EFFECTS
+from .effects import EFFECTS, offered
 from .friction import Friction
 from .hydraulics import Chambers, Lands
 from .named import get, put
@@ -23,7 +23,12 @@ BASE: Mapping[str, Spec] = {**specs(Lands), **specs(Chambers), **specs(Friction)
 
 
 def load_rig(path: str | Path) -> RigSpec:
-    """Read a rig file against the vocabulary; see `rigfile.read_rig`."""
+    """Read a rig file against the vocabulary; see `rigfile.read_rig`.
+
+    Effects that installed packages offer belong to it, and those of files that
+    `effects.load_effects` has read.
+    """
+    offered()
     return read_rig(path, BASE, {name: specs(e) for name, e in EFFECTS.items()})
 
 

@@ -89,6 +89,41 @@ class ValveHysteresis(CommandChannel):
         return out, out
 
 
+class ValveRateLimit(CommandChannel):
+    """Spool that moves no faster than `r_v` (V2); exact for the mean over a step.
+
+    Stored as `slew = 1/r_v` so that absent is 0: under a held command the spool runs
+    along a ramp, and the area it loses, `slew du abs(du) / 2`, is linear in `slew`.
+    """
+
+    name = "valve_rate_limit"
+    betrayed_by = "u_rate"
+    slew: Array = param(
+        "s/{u}",
+        0.0,
+        0.0,
+        0.2,
+        "largest rate of the spool",
+        strength=True,
+        size=2e-3,
+        outside=("r_v", "{u}/s"),
+    )
+
+    def init(self, u):
+        return u
+
+    def step(self, memory, u, h):
+        gap = u - memory
+        size = jnp.abs(gap)
+        need = self.slew * size  # seconds to get there
+        late = need > h
+        slew = jnp.where(late, self.slew, 1.0)
+        way = jnp.where(gap < 0, -1.0, 1.0) * h / slew
+        end = jnp.where(late, memory + way, u)
+        ramp = u - 0.5 * gap * need / h
+        return end, jnp.where(late, memory + way / 2, ramp)
+
+
 class ValveLag(CommandChannel):
     """Second-order spool (V1), exact for a held command and averaged over the tick.
 
@@ -147,7 +182,15 @@ class ValveDeadband(CommandChannel):
 
 
 class SensorChannel(Effect):
-    """A channel on a sensor: `init(y, slope)`, `step(memory, y, h)`."""
+    """A channel on a sensor: `init(y, slope)`, `step(memory, y, h)`.
+
+    A channel at `sensor_P` stands on both gauges; where they differ, `of_chamber`
+    says which channel a gauge has.
+    """
+
+    def of_chamber(self, i: int) -> SensorChannel:
+        """This channel as the gauge of chamber 1 (`i` = 0) or 2 (`i` = 1) has it."""
+        return self
 
     def init(self, y: Array, slope: Array) -> tuple[Any, Array, Array]:
         """Memory, reading and the reading's slope after a long run along a line."""
@@ -219,3 +262,67 @@ class PressureSensorLag(_Lag):
 
     def lag(self):
         return self.tau_P
+
+
+class _Offset(SensorChannel):
+    """A reading that is off by a constant."""
+
+    b: Array
+
+    def init(self, y, slope):
+        return (), y + self.b, slope
+
+    def step(self, memory, y, h):
+        return memory, y + self.b
+
+
+class PressureSensorBias(SensorChannel):
+    """Constant error of each pressure sensor (S4): `P_m = P + b`.
+
+    A bias shifts the drive force as `k_0` does and the flows hardly, so few logs tell
+    it from the base model's own parameters.
+    """
+
+    name = "pressure_sensor_bias"
+    place = "sensor_P"
+    needs = ("u", "P_a1", "P_a2")
+    betrayed_by = "P_a1 + P_a2"
+    b_1: Array = param("Pa", 0.0, -2e6, 2e6, "bias of P_a1", strength=True, size=5e4)
+    b_2: Array = param("Pa", 0.0, -2e6, 2e6, "bias of P_a2", strength=True, size=5e4)
+
+    def of_chamber(self, i):
+        return _Offset((self.b_1, self.b_2)[i])
+
+
+REACH = 16
+"""Ticks that a late channel can reach back."""
+
+
+class ChannelSkew(SensorChannel):
+    """Force that is logged out of step with the other channels (S8): `F(t + tau_s)`.
+
+    `tau_s` > 0: the reading is ahead of its time, taken along the line of the last
+    tick; < 0: it is late, between two earlier readings. The two are one formula up to
+    a tick and exact for a signal that is linear from tick to tick. No plant knows what
+    its command will be: a reading early by a tick or more is only roughly foreseen.
+    """
+
+    name = "channel_skew"
+    place = "sensor_F"
+    needs = ("loadcell",)
+    betrayed_by = "F_rate"
+    tau_s: Array = param(
+        "s", 0.0, -3e-3, 3e-3, "F logged ahead of its time", strength=True, size=2e-4
+    )
+
+    def init(self, y, slope):
+        past = jnp.broadcast_to(y[..., None], (*jnp.shape(y), REACH))
+        return past, y + self.tau_s * slope, slope
+
+    def step(self, memory, y, h):
+        memory = jnp.concatenate([y[..., None], memory[..., :-1]], axis=-1)
+        late = jnp.minimum(jnp.broadcast_to(-self.tau_s / h, y.shape), REACH - 1)
+        whole = jnp.clip(jnp.floor(late), 0, REACH - 2).astype(int)[..., None]
+        newer = jnp.take_along_axis(memory, whole, axis=-1)[..., 0]
+        older = jnp.take_along_axis(memory, whole + 1, axis=-1)[..., 0]
+        return memory, newer + (late - whole[..., 0]) * (older - newer)

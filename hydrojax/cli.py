@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from . import __version__
@@ -44,6 +52,24 @@ Effects = Annotated[
 ]
 
 
+Gains = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Keys of [controller] to replace, as k_p=1.5 or 'A_a=6 V*s,15 V*s': "
+        "all words that follow.",
+        show_default=False,
+    ),
+]
+At = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Operating point and other quantities, as v=0.01 or amplitude=200: "
+        "all words that follow.",
+        show_default=False,
+    ),
+]
+
+
 @contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
     """A line that says what is being done, and for how long it has been."""
@@ -52,6 +78,19 @@ def _progress() -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=errors, transient=True, disable=quiet) as bar:
         task = bar.add_task("read the logs")
         yield lambda what: bar.update(task, description=what)
+
+
+@contextmanager
+def _counted(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar of so many done out of so many, with the time that is left."""
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )  # fmt: skip
+    quiet = not errors.is_terminal
+    with Progress(*columns, console=errors, transient=True, disable=quiet) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _check_out(out: Path) -> None:
@@ -183,20 +222,24 @@ def simulate(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # said below, in one line
             run = simulation.simulate(loop, course)
-    if not np.all(np.isfinite(run["true_F"])):
-        raise InputError(
-            f"{rig}: the closed loop diverges; lower the gains, or mend the rig"
-        )
+    if run.diverged:
+        raise InputError(f"{rig}: {run.warning()}")
     record.write_log(out, record.columns(run, spec))
-    for line in (run.warning(), _noiseless(spec.sensors)):
+    still = (
+        ""
+        if np.ptp(run["x"])
+        else "the position does not move: identify and trace do not take such a log"
+    )
+    for line in (run.warning(), still, _noiseless(spec.sensors)):
         if line:
-            console.print(f"warning: {line}")
+            console.print(f"warning: {line}", markup=False)
     later = run.t >= run.t[-1] / 4
     off = np.sqrt(np.mean((run.F_d - run["true_F"])[later] ** 2))
     pushed = np.mean(np.abs(run["u"]) >= 0.999 * float(loop.law.u_max))
     console.print(
         f"{run.t.size} samples in {out}; F_d - F {off:.3g} N RMS after the first "
-        f"quarter; command saturated in {100 * pushed:.2g} % of them"
+        f"quarter; command saturated in {100 * pushed:.1f} % of them",
+        markup=False,
     )
 
 
@@ -357,6 +400,65 @@ def paper(out: Out = Path("hydrojax-paper")) -> None:
     )
 
 
+@app.command()
+def sweep(
+    rig: RigFile,
+    over: Annotated[
+        list[str],
+        typer.Option(
+            help="An axis, 1 to 4: k_p=0.2:4:48, load.mass=50 kg:300 kg:16, "
+            "beta=5e8:1e9:9:log, v=0,0.01,0.02. All words that follow."
+        ),
+    ],
+    by: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="linear, multisine or noise: all words that follow.",
+            show_default="linear",
+        ),
+    ] = None,
+    gains: Gains = None,
+    at: At = None,
+    ensemble: Annotated[
+        int, typer.Option(help="Plants to sweep over, the rig among them.", min=1)
+    ] = 1,
+    spread: Annotated[
+        float, typer.Option(help="Relative half-width of the ensemble.", min=0.0)
+    ] = 0.2,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--from", help="Folder of identify or trace: the ensemble is drawn from it."
+        ),
+    ] = None,
+    frozen: Annotated[
+        bool, typer.Option("--frozen", help="Measure with the adaptation frozen.")
+    ] = False,
+    effects: Effects = None,
+    out: Out = Path("hydrojax-sweep"),
+) -> None:
+    """Map bandwidth over gains, bounds, plant, load, signal path, operating point.
+
+    Run again, a sweep that was stopped goes on where it was, and one that is done does
+    nothing.
+    """
+    _check_out(out)
+    set_up_jax(user_cache())
+    _load_effects(effects)
+    from .tune import maps, run
+
+    with _counted("sweep") as tell:
+        data = run.sweep_rig(
+            rig, over, by or ("linear",), _given(gains or []), at or (), ensemble,
+            spread, report, frozen, out, tell,
+        )  # fmt: skip
+    for name, figure in maps.figures(data).items():
+        figure.savefig(out / f"{name}.png", dpi=120)
+    for line in run.sentences(data):
+        console.print(line)
+    console.print(f"sweep.nc and pictures in {out}")
+
+
 def _load_effects(files: list[Path] | None) -> None:
     from .effects import load_effects
 
@@ -392,7 +494,8 @@ def _finish(outcome: Outcome, out: Path) -> None:
     from .identify.report import write_report
 
     write_report(outcome, out)
-    console.print(f"[bold]{outcome.verdict}[/bold]  {outcome.sentence}\n")
+    console.print(outcome.verdict, style="bold", end="  ")
+    console.print(f"{outcome.sentence}\n", markup=False)
     table = Table("channel", "noise", "before", "after", "after / noise")
     for name, c in outcome.channels.items():
         table.add_row(
@@ -411,13 +514,14 @@ def _finish(outcome: Outcome, out: Path) -> None:
             if effect.cannot_tell_from
             else ""
         )
-        console.print(f"{effect.name}: {found}{alike}")
+        console.print(f"{effect.name}: {found}{alike}", markup=False)
     for line in (*outcome.limits, *outcome.notes):
-        console.print(f"- {line}")
+        console.print(f"- {line}", markup=False)
     spent = outcome.seconds
     console.print(
         f"\ncompile {spent['compile']:.1f} s, run {spent['run']:.1f} s; "
-        f"report in {out / 'report.html'}"
+        f"report in {out / 'report.html'}",
+        markup=False,
     )
 
 
@@ -437,7 +541,7 @@ def options(
     """What holds for every command."""
 
 
-SEVERAL = ("--validate", "--gains", "--separate")
+SEVERAL = ("--validate", "--gains", "--separate", "--over", "--by", "--at")
 """Options that take all words that follow."""
 
 

@@ -11,13 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import units
-from .build import make_rig
+from .build import make_effects, make_rig
+from .channels import QUEUE, ValveDelay
 from .control import Law, Nine, mean_area
 from .errors import InputError
 from .load import Driven, Inertia
 from .loop import Loop, Sensors
 from .rig import Rig
 from .rigfile import RigSpec
+from .simulation import PARTS
 
 ENCODER = 2 * np.pi / 2**23
 """The paper's absolute encoder of 23 bits: one step, rad."""
@@ -98,7 +100,8 @@ def make_loop(
 
     Args:
         spec: as `load_rig` gives it.
-        rig: the plant, if it is another than the file's; the law knows the file's.
+        rig: the plant, if it is another than the file's with the effects it declares;
+            the law knows the file's without them.
         gains: keys of [controller] that replace the file's.
         where: what opens an error line about `gains`.
 
@@ -113,16 +116,38 @@ def make_loop(
     nominal = make_rig(replace(spec, effects={}), {})
     keys = _read(f"{spec.path}: [controller]", spec.controller, spec)
     keys |= _read(where, gains or {}, spec)
+    if rig is None:
+        reach = spec.geometry.get("chamber_length", 1.0) / 2
+        rig = make_rig(spec, make_effects(spec.effects, spec, (-reach, reach)))
+    _check_delay(spec, rig, 1 / _one(keys, "rate"))
     supply = {"P_s": 14e6, "P_r": 0.25e6} | spec.supply
     load = _load(spec)
     return Loop(
-        rig=nominal if rig is None else rig,
+        rig=rig,
         law=_law(keys, nominal, spec, supply["P_r"]),
         load=load,
         sensors=_sensors(keys, spec),
         h=_array(1 / _one(keys, "rate")),
-        P_start=_array((supply["P_s"] + supply["P_r"]) / 2),
+        P_start=_array(_start(nominal, (supply["P_s"] + supply["P_r"]) / 2)),
     )
+
+
+def _start(rig: Rig, middle: float) -> float:
+    """Pressure of chamber 1 at rest: both about midway, and no force, Pa."""
+    a_1, a_2 = float(rig.force_area_1), float(rig.force_area_2)
+    return 2 * middle * a_2 / (a_1 + a_2)
+
+
+def _check_delay(spec: RigSpec, rig: Rig, h: float) -> None:
+    """Refuse a delay that its queue would cut short."""
+    reach = (QUEUE - 1) / PARTS * h
+    for channel in rig.command:
+        if isinstance(channel, ValveDelay) and float(channel.tau_u) > reach:
+            raise InputError(
+                f"{spec.path}: [effects.valve_delay] tau_u: {float(channel.tau_u):g} s "
+                f"is more than {reach:.3g} s, as far as a delay reaches at this "
+                "[controller] rate; lower either"
+            )
 
 
 Values = dict[str, tuple[float, float]]
@@ -160,6 +185,8 @@ def _number(where: str, name: str, value: object, spec: RigSpec) -> float:
     want = si(unit)
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         value = f"{value} {unit}"
+    if isinstance(value, bool):
+        raise InputError(f"{where}: {value!r} is no quantity; give a number in {unit}")
     number, written = units.split(value, where)
     if "rad" in want and not written:
         written = unit
@@ -257,4 +284,10 @@ def _load(spec: RigSpec) -> Driven | Inertia:
             "stiffness and damping out: the environment then leads the piston"
         )
     rest = {"stiffness": 0.0, "damping": 0.0} | given
+    for name, value in rest.items():
+        if value < 0 or (name == "mass" and value == 0):
+            raise InputError(
+                f"{spec.path}: [load] {name} must be "
+                f"{'above' if name == 'mass' else 'at least'} 0, not {value:g}; mend it"
+            )
     return Inertia(**{name: _array(v) for name, v in rest.items()})

@@ -25,14 +25,17 @@ def wander(rng: np.random.Generator, speed: float, travel: float = 0.02) -> Path
 
     Args:
         rng: where its numbers come from.
-        speed: what its speed stays below, m/s.
-        travel: what it stays within of its middle, m.
+        speed: its peak in two minutes, m/s, unless travel limits it first.
+        travel: the most it goes from its middle meanwhile, m.
     """
     hertz = np.exp(rng.uniform(np.log(0.05), np.log(1.2), 8))
     w, phase = 2 * np.pi * hertz, rng.uniform(0, 2 * np.pi, 8)
     share = rng.uniform(0.3, 1.0, 8)
-    share = share / max(np.sum(share) / speed, np.sum(share / w) / travel)
-    size = share / w
+    t = np.arange(0.0, 120.0, 0.01)
+    angle = np.multiply.outer(t, w) + phase
+    fastest = np.abs((share * np.cos(angle)).sum(-1)).max()
+    furthest = np.abs((share / w * np.sin(angle)).sum(-1)).max()
+    size = share / w / max(fastest / speed, furthest / travel)
 
     def path(t: np.ndarray, nu: int) -> np.ndarray:
         angle = np.multiply.outer(t, w) + phase + nu * np.pi / 2

@@ -11,12 +11,17 @@ from jaxtyping import Array
 
 from .params import param
 
+PAST = (1.41e-3, 6.19e-3, 1.64e-2, 3.75e-2, 8.45e-2, 0.191, 0.3)
+"""Time constants (s) for which the velocity's lag is remembered, where an effect asks
+for it: Chebyshev points of `tau / (tau + 0.03 s)`."""
+
 
 class Sliding(NamedTuple):
     """What friction sees at one instant; SI, every field of one shape.
 
-    `z` is the bristle's deflection (m), `z_rate` its rate, `speed` the filtered
-    speed of L(t) (m/s), `t` the time since the log began.
+    `v` is the velocity as friction sees it, `z` the bristle's deflection (m), `z_rate`
+    its rate, `speed` the filtered speed of L(t) (m/s), `t` the time since the log
+    began.
     """
 
     t: Array
@@ -70,6 +75,12 @@ class Friction(eqx.Module):
         """The filtered speed's step over `h` seconds as `w -> keep w + add`."""
         keep = jnp.exp(-self.L_rate * h)
         return keep, (1 - keep) * jnp.abs(dx) / h
+
+    def past_map(self, dx: Array, h: Array) -> tuple[Array, Array]:
+        """The step of the velocity's lags `PAST` as `w -> keep w + add`, [7, ...]."""
+        h = jnp.broadcast_to(h, jnp.shape(dx))
+        keep = jnp.stack([jnp.exp(-h / tau) for tau in PAST])
+        return keep, (1 - keep) * dx / h
 
     def z_rate(self, z: Array, v: Array) -> Array:
         """Rate of the bristle's deflection (4), m/s."""

@@ -21,14 +21,17 @@ LAMINAR_CORE = 2.0e3
 _C_UNIT = "m^3/(s*{u}*Pa^0.5)"
 
 
-def root_flow(drop: ArrayLike, core: float = LAMINAR_CORE) -> Array:
+def root_flow(
+    drop: ArrayLike, core: float = LAMINAR_CORE, wider: ArrayLike = 0.0
+) -> Array:
     """Signed square root of a pressure drop with a laminar core, in Pa^0.5.
 
     `drop / (drop^2 + core^2)^(1/4)`: odd, smooth, slope `core^-0.5` at zero, and
-    sqrt(drop) as `core` goes to 0 (the paper's (8)).
+    sqrt(drop) as `core` goes to 0 (the paper's (8)). `wider` is added to the square
+    of the core, Pa^2.
     """
     d = jnp.asarray(drop)
-    return d / jnp.sqrt(jnp.sqrt(d * d + core * core))
+    return d / jnp.sqrt(jnp.sqrt(d * d + (core * core + wider)))
 
 
 class Point(NamedTuple):
@@ -56,23 +59,34 @@ class Lands(eqx.Module):
     c_p2: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "supply to chamber 2")
     c_n2: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "chamber 2 to return")
 
-    def flows(self, at: Point, drops: tuple = ()) -> tuple[Array, Array]:
+    def flows(
+        self, at: Point, drops: tuple = (), orifices: tuple = ()
+    ) -> tuple[Array, Array]:
         """Flows into chambers 1 and 2, m^3/s.
 
         `drops` are effects ahead of the valve: each maps the conductance of the edge
         that draws on the supply (m^3/(s Pa^0.5)) and the pressure available across
-        it to a pressure drop.
+        it to a pressure drop. `orifices` are effects of the edges themselves: what
+        they add to the openings and to the square of the laminar core.
         """
+        open_p, open_n = at.open_p, at.open_n
+        for edge in orifices:
+            more_p, more_n = edge.opening(at.open_p - at.open_n)
+            open_p, open_n = open_p + more_p, open_n + more_n
+        wider = sum(edge.core() for edge in orifices)
+
+        def root(drop):
+            return root_flow(drop, wider=wider)
 
         def drawn(edge, chamber):
             available = at.P_s - chamber
             lost = sum(d.drop(edge, available) for d in drops)
-            return edge * root_flow(available - lost)
+            return edge * root(available - lost)
 
-        q_1 = drawn(self.c_p1 * at.open_p, at.P_a1)
-        q_2 = drawn(self.c_p2 * at.open_n, at.P_a2)
-        q_1 = q_1 - self.c_n1 * at.open_n * root_flow(at.P_a1 - at.P_r)
-        q_2 = q_2 - self.c_n2 * at.open_p * root_flow(at.P_a2 - at.P_r)
+        q_1 = drawn(self.c_p1 * open_p, at.P_a1)
+        q_2 = drawn(self.c_p2 * open_n, at.P_a2)
+        q_1 = q_1 - self.c_n1 * open_n * root(at.P_a1 - at.P_r)
+        q_2 = q_2 - self.c_n2 * open_p * root(at.P_a2 - at.P_r)
         return q_1, q_2
 
 
@@ -92,13 +106,22 @@ class Chambers(eqx.Module):
         return half + self.delta_1 - x, half + self.delta_2 + x
 
     def rates(
-        self, at: Point, q_1: Array, q_2: Array, softness: tuple = ()
+        self,
+        at: Point,
+        q_1: Array,
+        q_2: Array,
+        softness: tuple = (),
+        volumes: tuple = (),
     ) -> tuple[Array, Array]:
         """Pressure rates (Pa/s) for flows into the chambers; (14)(15).
 
-        `softness` are effects that add compliance (1/Pa) beside 1/beta.
+        `softness` are effects that add compliance (1/Pa) beside 1/beta, `volumes`
+        those that add to what the chambers hold (m^3).
         """
         x_1, x_2 = self.lengths(at.x)
+        for effect in volumes:
+            more_1, more_2 = effect.volume()
+            x_1, x_2 = x_1 + more_1 / self.area_1, x_2 + more_2 / self.area_2
         stiff_1 = 1 / (1 / self.beta + sum(s.compliance(at.P_a1) for s in softness))
         stiff_2 = 1 / (1 / self.beta + sum(s.compliance(at.P_a2) for s in softness))
         return (

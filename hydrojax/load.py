@@ -39,8 +39,17 @@ Force = Callable[[Array, Array], Array]
 """The output force (N) at a part's end, of velocity and acceleration there."""
 
 
+def _speed(road: Road, h: Array) -> Array:
+    """The environment's speed about the start of a part, m/s."""
+    return (road.x[..., 1] - road.x[..., 0]) / (h / 2)
+
+
 class Driven(eqx.Module):
     """The environment leads the piston; at rest it is locked."""
+
+    def begin(self, road: Road, h: Array, force: Force) -> Motion:
+        """Motion at the start of the first part, of length `h`."""
+        return Motion(road.x[..., 0], _speed(road, h), jnp.zeros_like(h))
 
     def move(self, at: Motion, road: Road, h: Array) -> Array:
         """The piston's place at start, middle and end of the part, [..., 3], m."""
@@ -63,6 +72,14 @@ class Inertia(eqx.Module):
     mass: Array = param("kg", 150.0, 1e-3, 1e6, "load's mass")
     stiffness: Array = param("N/m", 2e6, 0.0, 1e10, "its spring to the environment")
     damping: Array = param("N*s/m", 2e3, 0.0, 1e8, "its damper to the environment")
+
+    def begin(self, road: Road, h: Array, force: Force) -> Motion:
+        """At rest where the spring is slack, and the acceleration that follows."""
+        rest = jnp.zeros_like(h)
+        start = force(rest, rest)
+        slope = force(rest, rest + 1) - start
+        pull = -self.damping * _speed(road, h)
+        return Motion(road.x[..., 0], rest, (start - pull) / (self.mass - slope))
 
     def move(self, at: Motion, road: Road, h: Array) -> Array:
         """The piston's place at start, middle and end of the part, [..., 3], m."""

@@ -114,15 +114,21 @@ def begin(loop: Loop, course: Course) -> _Carry:
     P = F + k_f * F / (1 + friction.delta * jnp.abs(F))
     P_a2 = (P + loop.rig.force_area_1 * loop.P_start) / loop.rig.force_area_2
     plant = loop.rig.init(zero, loop.P_start, P_a2, x)
-    P = plant.P
-    F = loop.rig.output_force(
-        Sliding(zero, x, zero, zero, zero, zero, zero, *P, course.P_s[0, 0])
+    P, P_s = plant.P, course.P_s[0, 0]
+
+    def force(v: Array, a: Array) -> Array:
+        return loop.rig.output_force(Sliding(zero, x, v, a, zero, v, zero, *P, P_s))
+
+    road = jax.tree.map(lambda r: r[0, 0], course.road)
+    motion = loop.load.begin(road, loop.h / course.road.v.shape[-1], force)
+    F = force(motion.v, motion.a)
+    gauges = tuple(
+        loop.rig.sense_init(loop.rig.gauge(i), p, zero)[1] for i, p in enumerate(P)
     )
-    gauges = tuple(loop.rig.sense_init(loop.rig.sensor_P, p, zero)[1] for p in P)
     cell = loop.rig.sense_init(loop.rig.sensor_F, F, zero)[1]
-    truth = Measured(*gauges, course.P_s[0, 0], cell, x)
+    truth = Measured(*gauges, P_s, cell, x)
     law = loop.law.init(loop.sensors.read(truth, course.noise[0]), course.F_d[0])
-    return _Carry(plant, Motion(x, zero, zero), law, gauges, cell, F)
+    return _Carry(plant, motion, law, gauges, cell, F)
 
 
 def step(loop: Loop, carry: _Carry, tick: Course) -> tuple[_Carry, dict[str, Array]]:

@@ -228,7 +228,7 @@ def within(hertz: np.ndarray, dB: np.ndarray, most: float = 1.0) -> float:
     i = int(out[0])
     if i == 0:
         return 0.0
-    a, b = abs(dB[i - 1]), abs(dB[i])
+    a, b, most = dB[i - 1], dB[i], np.copysign(most, dB[i])
     return float(hertz[i - 1] + (most - a) / (b - a) * (hertz[i] - hertz[i - 1]))
 
 

@@ -27,6 +27,9 @@ SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
 
 _DIGITS = {"time": "%.6f", "psi": "%.10g", "x": "%.10g"}
 
+KINDS = (".csv", ".csv.gz", ".parquet", ".mat")
+"""What a log may be saved as."""
+
 REFERENCES = {
     "sines": (("N", 400.0),),
     "sine": (("N", 300.0), ("Hz", 0.5)),
@@ -99,6 +102,11 @@ def read_course(
                 f"{reference}: no column F_d to follow; name another log, or one of "
                 f"{', '.join(REFERENCES)}"
             )
+        if np.isnan(force_log.signals["F_d"][rows]).any():
+            raise InputError(
+                f"{reference}: F_d has holes in its longest stretch; fill them or cut "
+                "the log there"
+            )
         start = force_log.time[rows][0]
         F_d = np.interp(start + t, force_log.time[rows], force_log.signals["F_d"][rows])
     else:
@@ -108,6 +116,11 @@ def read_course(
         elif kind == "sine":
             F_d = given[0] * np.sin(2 * np.pi * given[1] * t)
         else:
+            if given[1] >= 0.5 / h:
+                raise InputError(
+                    f"--reference {reference}: a band of {given[1]:g} Hz is not below "
+                    f"half the sampling rate, {0.5 / h:g} Hz; give less"
+                )
             F_d = excitation.band_noise(rng, n, h, *given)
     if path_log is not None:
         path = log_path(path_log, spec, _rows(path_log))
@@ -120,7 +133,16 @@ def read_course(
         else:
             path = hold(given[0])
     supply = SUPPLY | spec.supply
-    return make_course(F_d, path, h, supply["P_s"], supply["P_r"], seed)
+    course = make_course(F_d, path, h, supply["P_s"], supply["P_r"], seed)
+    x = np.asarray(course.road.x)
+    low, high = float(x.min()), float(x.max())
+    x_1, x_2 = (float(c) for c in loop.rig.chambers.lengths(jnp.array(0.0)))
+    if high >= x_1 or low <= -x_2:
+        raise InputError(
+            f"--motion {motion}: x from {1e3 * low:.4g} to {1e3 * high:.4g} mm is "
+            f"beyond the chambers' ends at {-1e3 * x_2:.4g} and {1e3 * x_1:.4g} mm; give less"
+        )
+    return course
 
 
 def rerun(
@@ -165,7 +187,7 @@ def _log(word: str, kinds: Mapping[str, object], spec: RigSpec) -> Log | None:
     """The log that a word names, if it names one."""
     if word.partition(":")[0] in kinds:
         return None
-    if Path(word).suffix:
+    if word.lower().endswith(KINDS) or Path(word).is_file():
         return read_log(word, spec.channels)
     near = get_close_matches(word.partition(":")[0], kinds, n=1, cutoff=0.5)
     mend = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(kinds)}"
@@ -242,10 +264,6 @@ def columns(run: Run, spec: RigSpec) -> dict[str, tuple[str, np.ndarray]]:
     return out | {"F_d": ("N", run.F_d)}
 
 
-KINDS = (".csv", ".csv.gz", ".parquet", ".mat")
-"""What a log may be saved as."""
-
-
 def write_log(path: Path, table: Mapping[str, tuple[str, np.ndarray]]) -> None:
     """Write a log, whole or not at all.
 
@@ -262,16 +280,19 @@ def write_log(path: Path, table: Mapping[str, tuple[str, np.ndarray]]) -> None:
         draft = Path(folder) / path.name
         labels = [f"{name} [{unit}]" for name, (unit, _) in table.items()]
         values = [v for _, v in table.values()]
-        if path.suffix == ".mat":
+        kind = path.suffix.lower()
+        if kind == ".mat":
             log = {name: v for name, (_, v) in table.items()}
             said = {name: unit for name, (unit, _) in table.items()}
             scipy.io.savemat(draft, {"log": log, "units": said})
-        elif path.suffix == ".parquet":
+        elif kind == ".parquet":
             pd.DataFrame(dict(zip(labels, values, strict=True))).to_parquet(draft)
         else:
             form = [_DIGITS.get(name, "%.8g") for name in table]
             text = {"header": ",".join(labels), "comments": "", "delimiter": ","}
-            np.savetxt(draft, np.column_stack(values), fmt=form, **text)
+            plain = Path(folder) / ("log.csv.gz" if kind == ".gz" else "log.csv")
+            np.savetxt(plain, np.column_stack(values), fmt=form, **text)
+            plain.rename(draft)
         os.replace(draft, path)
 
 

@@ -13,10 +13,16 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
+from scipy.signal import savgol_filter
 
 from .friction import Sliding, run_linear
 from .rig import Rig, Tick
+
+SMOOTH = 15
+"""Ticks over which a logged force is smoothed before it stretches anything: flat to
+some 40 Hz on a log at 1 kHz."""
 
 
 class Motion(NamedTuple):
@@ -65,17 +71,28 @@ class Windows(NamedTuple):
 
 
 def friction_memory(rig: Rig, motion: Motion) -> tuple[Array, Array]:
-    """Bristle deflection (m) and filtered speed (m/s) at every tick, [S, N] each."""
+    """Bristle deflection (m) and filtered speed (m/s) at every tick, [S, N] each.
+
+    With an effect that asks for them, the speed has the velocity's lags behind it on a
+    last axis.
+    """
     s, n, quarters = motion.dx.shape
     dx = motion.dx.reshape(s, n * quarters)
     h = jnp.repeat(motion.h / quarters, quarters, axis=1)
     zero = jnp.zeros((s, 1))
     z = run_linear(*rig.mechanics.bristle_map(dx), zero[:, 0])
     speed = run_linear(*rig.mechanics.speed_map(dx, h), motion.speed0)
+    start = motion.speed0
+    if rig.velocity:
+        v_0 = dx[:, 0] / h[:, 0]
+        lags = rig.mechanics.past_map(dx, h)
+        past = run_linear(*lags, jnp.broadcast_to(v_0, (len(lags[0]), s)))
+        speed = jnp.stack([speed, *past], axis=-1)
+        start = jnp.stack([start, *[v_0] * len(past)], axis=-1)
     at_ticks = slice(quarters - 1, None, quarters)
     return (
         jnp.concatenate([zero, z[:, at_ticks]], axis=1),
-        jnp.concatenate([motion.speed0[:, None], speed[:, at_ticks]], axis=1),
+        jnp.concatenate([start[:, None], speed[:, at_ticks]], axis=1),
     )
 
 
@@ -107,6 +124,7 @@ def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
         v=w.v[:, 1:],
         a=w.a[:, 1:],
         t=w.t[:, 1:],
+        F=ends(_rod_force(w)) if rig.stretch else None,
     )
     ticks = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), ticks)
     start = (P_0[:, 0], P_0[:, 1])
@@ -115,6 +133,20 @@ def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),
     )
+
+
+def _rod_force(w: Windows) -> Array:
+    """The logged output force, [W, lead+T], N; in the lead, that of its end.
+
+    What it stretched in the lead is a shift of the initial pressures. Cubics over
+    `SMOOTH` ticks take most of its noise away, which the pressures would follow.
+    """
+    F = w.measured[..., 2]
+    F = jnp.where(jnp.isfinite(F), F, 0.0)
+    if w.scored >= SMOOTH:
+        F = F @ savgol_filter(np.eye(w.scored), SMOOTH, 3, axis=0).T
+    lead = w.x.shape[1] - w.scored
+    return jnp.concatenate([jnp.repeat(F[:, :1], lead, axis=1), F], axis=1)
 
 
 def _sense(rig: Rig, channels: tuple, y: Array, h: Array) -> Array:
@@ -141,11 +173,12 @@ def readings(
     index = w.first[:, None] + jnp.arange(w.x.shape[1])
     z, speed = z[w.seg[:, None], index], speed[w.seg[:, None], index]
     rate = rig.mechanics.z_rate(z, w.v)
-    F = rig.output_force(Sliding(w.t, w.x, w.v, w.a, z, rate, speed, P_a1, P_a2, w.P_s))
+    speed, v = rig.slip(speed, w.v)
+    F = rig.output_force(Sliding(w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s))
     lead = w.x.shape[1] - w.scored
     y = [
-        _sense(rig, rig.sensor_P, P_a1, w.h),
-        _sense(rig, rig.sensor_P, P_a2, w.h),
+        _sense(rig, rig.gauge(0), P_a1, w.h),
+        _sense(rig, rig.gauge(1), P_a2, w.h),
         _sense(rig, rig.sensor_F, F, w.h),
     ]
     return jnp.stack([c[:, lead:] for c in y], axis=-1)

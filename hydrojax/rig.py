@@ -6,18 +6,23 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .friction import Friction, Sliding
+from .friction import PAST, Friction, Sliding
 from .hydraulics import Chambers, Lands, Point
 from .params import Effect
 
 PLACES = (
     "command",
+    "orifice",
     "supply",
     "flow",
+    "volume",
     "compliance",
+    "stretch",
+    "velocity",
     "level",
     "friction",
     "force",
@@ -27,7 +32,10 @@ PLACES = (
 """Where an effect can act, in the order of the signal path."""
 
 
-HYDRAULIC = ("lands", "chambers", "command", "supply", "flow", "compliance")
+HYDRAULIC = (
+    "lands", "chambers", "command", "orifice", "supply", "flow", "volume",
+    "compliance", "stretch",
+)  # fmt: skip
 """The parts of a rig on which the pressures depend."""
 
 
@@ -41,7 +49,9 @@ class Tick(NamedTuple):
 
     `u` is held. `P_s` and `P_r` are [..., 2], at the tick's ends. `x` [..., 2n + 1] is
     the position at the ends and middles of n substeps, `dx` [..., 4] the displacement
-    over each quarter, for the bristle; `v`, `a` and `t` hold at the tick's end.
+    over each quarter, for the bristle; `v`, `a` and `t` hold at the tick's end. `F`
+    [..., 2] is the output force at the tick's ends, where it was logged and an effect
+    stretches what stands between piston and encoder.
     """
 
     h: Array
@@ -53,10 +63,15 @@ class Tick(NamedTuple):
     v: Array
     a: Array
     t: Array
+    F: Array | None = None
 
 
 class State(NamedTuple):
-    """What the plant remembers: independent quantities only."""
+    """What the plant remembers: independent quantities only.
+
+    `speed` has the lags `friction.PAST` of the velocity behind it on a last axis where
+    an effect asks for them; `rod` holds the force that stretches, where one does.
+    """
 
     command: tuple
     P: tuple[Array, Array]
@@ -64,6 +79,7 @@ class State(NamedTuple):
     speed: Array
     sensor_P: tuple  # of chamber 1, of chamber 2
     sensor_F: tuple
+    rod: tuple = ()
 
 
 def sides(spool: Array) -> tuple[Array, Array]:
@@ -84,9 +100,13 @@ class Rig(eqx.Module):
     force_area_1: Array
     force_area_2: Array
     command: tuple = ()
+    orifice: tuple = ()
     supply: tuple = ()
     flow: tuple = ()
+    volume: tuple = ()
     compliance: tuple = ()
+    stretch: tuple = ()
+    velocity: tuple = ()
     level: tuple = ()
     friction: tuple = ()
     force: tuple = ()
@@ -130,11 +150,19 @@ class Rig(eqx.Module):
 
     def pressure_rates(self, at: Point) -> tuple[Array, Array]:
         """Rates of both chamber pressures, Pa/s; (12)-(15)."""
-        q_1, q_2 = self.lands.flows(at, self.supply)
+        q_1, q_2 = self.lands.flows(at, self.supply, self.orifice)
         for effect in self.flow:
             e_1, e_2 = effect.flow(at)
             q_1, q_2 = q_1 + e_1, q_2 + e_2
-        return self.chambers.rates(at, q_1, q_2, self.compliance)
+        return self.chambers.rates(at, q_1, q_2, self.compliance, self.volume)
+
+    def piston(self, tick: Tick) -> Array:
+        """Where the piston stands when the encoder says `tick.x`, m."""
+        if not self.stretch or tick.F is None:
+            return tick.x
+        start, end = tick.F[..., :1], tick.F[..., 1:]
+        F = start + jnp.linspace(0.0, 1.0, tick.x.shape[-1]) * (end - start)
+        return tick.x + sum(e.stretch(F) for e in self.stretch)
 
     def pressure_step(
         self, P: tuple[Array, Array], opening: tuple[Array, Array], tick: Tick
@@ -145,7 +173,7 @@ class Rig(eqx.Module):
         the error is the pressures' own, of second order.
         """
         n = (tick.x.shape[-1] - 1) // 2
-        h = tick.h / n
+        h, x = tick.h / n, self.piston(tick)
 
         def rates(P, k, v):
             part = k / (2 * n)
@@ -153,11 +181,11 @@ class Rig(eqx.Module):
                 p[..., 0] + part * (p[..., 1] - p[..., 0]) for p in (tick.P_s, tick.P_r)
             )
             return self.pressure_rates(
-                Point(P[0], P[1], p_s, p_r, *opening, x=tick.x[..., k], v=v)
+                Point(P[0], P[1], p_s, p_r, *opening, x=x[..., k], v=v)
             )
 
         for i in range(n):
-            v = (tick.x[..., 2 * i + 2] - tick.x[..., 2 * i]) / h
+            v = (x[..., 2 * i + 2] - x[..., 2 * i]) / h
             first = rates(P, 2 * i, v)
             middle = tuple(p + h / 2 * r for p, r in zip(P, first, strict=True))
             second = rates(middle, 2 * i + 1, v)
@@ -182,9 +210,15 @@ class Rig(eqx.Module):
         rest = jnp.zeros_like(P_a1)
         at = Sliding(rest, x, rest, rest, rest, rest, rest, P_a1, P_a2, P_a1 + 1.0)
         F = self.output_force(at)
-        gauges = tuple(self.sense_init(self.sensor_P, p, rest)[0] for p in (P_a1, P_a2))
+        gauges = tuple(
+            self.sense_init(self.gauge(i), p, rest)[0]
+            for i, p in enumerate((P_a1, P_a2))
+        )
         cell, _ = self.sense_init(self.sensor_F, F, rest)
-        return State(self.command_init(u), (P_a1, P_a2), rest, rest, gauges, cell)
+        lags = (len(PAST) + 1,) if self.velocity else ()
+        speed = jnp.zeros((*rest.shape, *lags), rest.dtype)
+        rod = (F,) if self.stretch else ()
+        return State(self.command_init(u), (P_a1, P_a2), rest, speed, gauges, cell, rod)
 
     def step(self, state: State, tick: Tick) -> tuple[State, dict[str, Array]]:
         """Act over one tick, then sense at its end.
@@ -192,6 +226,8 @@ class Rig(eqx.Module):
         Returns the new state and what the sensors read, `P_a1 P_a2 F` in SI.
         """
         command, opening = self.command_step(state.command, tick.u, tick.h)
+        if tick.F is None:  # none was logged: nothing stretches
+            tick = tick._replace(F=jnp.zeros_like(tick.P_s))
         state = self.act(state._replace(command=command), opening, tick)
         F = self.output_force(self.sliding(state, tick))
         return self.read(state, F, tick.h)
@@ -199,26 +235,91 @@ class Rig(eqx.Module):
     def act(self, state: State, opening: tuple[Array, Array], tick: Tick) -> State:
         """Pressures, bristle and filtered speed after a tick under `opening`."""
         z, speed = state.z, state.speed
+        h = tick.h / tick.dx.shape[-1]
         for i in range(tick.dx.shape[-1]):
             dx = tick.dx[..., i]
             keep, add = self.mechanics.bristle_map(dx)
             z = keep * z + add
-            keep, add = self.mechanics.speed_map(dx, tick.h / tick.dx.shape[-1])
+            keep, add = self.speed_map(dx, h)
             speed = keep * speed + add
-        P = self.pressure_step(state.P, opening, tick)
-        return state._replace(P=P, z=z, speed=speed)
+        moved = state._replace(z=z, speed=speed)
+        if self.stretch and tick.F is None:
+            F = self.rod_force(moved, opening, tick)
+            tick = tick._replace(F=jnp.stack([state.rod[0], F], axis=-1))
+            moved = moved._replace(rod=(F,))
+        return moved._replace(P=self.pressure_step(state.P, opening, tick))
+
+    def speed_map(self, dx: Array, h: Array) -> tuple[Array, Array]:
+        """The filtered speed's step; with the velocity's lags on a last axis."""
+        keep, add = self.mechanics.speed_map(dx, h)
+        if not self.velocity:
+            return keep, add
+        lags = self.mechanics.past_map(dx, h)
+        pairs = zip((keep, add), lags, strict=True)
+        return tuple(
+            jnp.stack([jnp.broadcast_to(one, dx.shape), *past], axis=-1)
+            for one, past in pairs
+        )
+
+    def slip(self, speed: Array, v: Array) -> tuple[Array, Array]:
+        """The filtered speed and the velocity that friction sees."""
+        if not self.velocity:
+            return speed, v
+        for effect in self.velocity:
+            v = effect.seen(v, speed[..., 1:])
+        return speed[..., 0], v
+
+    def rod_force(
+        self, moved: State, opening: tuple[Array, Array], tick: Tick
+    ) -> Array:
+        """The output force at the tick's end, the pressures still at its start, N.
+
+        What stretches gives way as the force rises, and the pressures fall with it:
+        `F = F_free - K (s(F) - s(F_0))`, with `K` the oil's stiffness as the output
+        feels it, lies between `F_0` and the force of a rod that does not give. Solved
+        by halving, and by one of Newton's steps for the derivative.
+        """
+        F_0 = moved.rod[0]
+        ends = (tick.P_s[..., 1], tick.P_r[..., 1])
+
+        def rates(v):
+            at = Point(*moved.P, *ends, *opening, x=tick.x[..., -1], v=v)
+            return self.pressure_rates(at)
+
+        def force(P):
+            return self.output_force(self.sliding(moved._replace(P=P), tick))
+
+        held = tick._replace(F=jnp.stack([F_0, F_0], axis=-1))
+        P = self.pressure_step(moved.P, opening, held)
+        still, moving = rates(jnp.zeros_like(F_0)), rates(jnp.ones_like(F_0))
+        per_metre = tuple(a - b for a, b in zip(still, moving, strict=True))
+        free, K = jax.jvp(force, (P,), (per_metre,))
+
+        def over(F):
+            moved = sum(e.stretch(F) - e.stretch(F_0) for e in self.stretch)
+            return F - free + K * moved
+
+        low, high = jnp.minimum(F_0, free), jnp.maximum(F_0, free)
+        for _ in range(24):
+            middle = (low + high) / 2
+            above = over(middle) > 0
+            low, high = jnp.where(above, low, middle), jnp.where(above, middle, high)
+        F = jax.lax.stop_gradient((low + high) / 2)
+        value, slope = jax.jvp(over, (F,), (jnp.ones_like(F),))
+        return F - value / jax.lax.stop_gradient(slope)
 
     def sliding(self, state: State, tick: Tick) -> Sliding:
         """What friction sees at the end of a tick."""
         rate = self.mechanics.z_rate(state.z, tick.v)
+        speed, v = self.slip(state.speed, tick.v)
         return Sliding(
             t=tick.t,
             x=tick.x[..., -1],
-            v=tick.v,
+            v=v,
             a=tick.a,
             z=state.z,
             z_rate=rate,
-            speed=state.speed,
+            speed=speed,
             P_a1=state.P[0],
             P_a2=state.P[1],
             P_s=tick.P_s[..., 1],
@@ -226,11 +327,15 @@ class Rig(eqx.Module):
 
     def read(self, state: State, F: Array, h: Array) -> tuple[State, dict[str, Array]]:
         """What the sensors say at the end of a tick of length `h`."""
-        m_1, P_a1 = self.sense(self.sensor_P, state.sensor_P[0], state.P[0], h)
-        m_2, P_a2 = self.sense(self.sensor_P, state.sensor_P[1], state.P[1], h)
+        m_1, P_a1 = self.sense(self.gauge(0), state.sensor_P[0], state.P[0], h)
+        m_2, P_a2 = self.sense(self.gauge(1), state.sensor_P[1], state.P[1], h)
         m_F, cell = self.sense(self.sensor_F, state.sensor_F, F, h)
         state = state._replace(sensor_P=(m_1, m_2), sensor_F=m_F)
         return state, {"P_a1": P_a1, "P_a2": P_a2, "F": cell}
+
+    def gauge(self, i: int) -> tuple:
+        """The channels on the pressure sensor of chamber 1 (`i` = 0) or 2."""
+        return tuple(c.of_chamber(i) for c in self.sensor_P)
 
     def sense_init(
         self, channels: tuple, y: Array, slope: Array

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn, get_args
+from typing import Any, Literal, NoReturn, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from . import units
 from .errors import InputError
@@ -18,8 +18,7 @@ from .signals import SIGNALS, Channel
 
 Layout = Literal["pull-pull", "differential", "single", "driven-axis"]
 
-_Number = Annotated[float, Field(strict=False)]
-ControllerValue = str | _Number | list[str | _Number]
+ControllerValue = str | int | float | list[str | int | float]
 """A quantity, a number in the paper's unit, or two bounds of either."""
 
 _GEOMETRY = {

@@ -28,19 +28,36 @@ class Run:
     """A closed-loop run: `signals` by name, each [N], at times `t` [N]; SI.
 
     `leaves` says of each chamber in how many samples its pressure was outside
-    (P_r, P_s), where (20)(21) and all that rests on them no longer hold.
+    (P_r, P_s), where (20)(21) and all that rests on them no longer hold; `ends` in how
+    many the piston was beyond a chamber's end.
     """
 
     t: np.ndarray
     F_d: np.ndarray
     signals: dict[str, np.ndarray]
     leaves: tuple[int, int]
+    ends: int = 0
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.signals[name]
 
+    @property
+    def diverged(self) -> bool:
+        """Whether the run left all sense: not a number, or a hundred supplies high."""
+        most = 100 * np.max(self.signals["P_s"])
+        P = np.abs([self.signals["true_P_a1"], self.signals["true_P_a2"]])
+        finite = np.isfinite(self.signals["true_F"]).all()
+        return not bool(finite and np.all(most > P))
+
     def warning(self) -> str:
         """What to know before this run is believed, or nothing."""
+        if self.diverged:
+            return "the closed loop diverges; lower the gains, or mend the rig"
+        if self.ends:
+            return (
+                f"the piston was beyond a chamber's end in {self.ends} of "
+                f"{self.t.size} samples; ask for less travel"
+            )
         left = [
             f"P_a{i} in {n} of {self.t.size} samples"
             for i, n in enumerate(self.leaves, 1)
@@ -72,10 +89,17 @@ def simulate(loop: Loop, course: Course) -> Run:
         np.asarray(course.F_d),
         signals,
         (0 if open_1 else leaves[0], leaves[1]),
+        _beyond(loop, signals["true_x"], open_1),
     )
     if out.warning():
         warnings.warn(out.warning(), RuntimeWarning, stacklevel=2)
     return out
+
+
+def _beyond(loop: Loop, x: np.ndarray, open_1: bool) -> int:
+    """How many of the positions [n] (m) leave a chamber no length."""
+    x_1, x_2 = (np.asarray(c) for c in loop.rig.chambers.lengths(jnp.asarray(x)))
+    return int(np.sum((x_2 <= 0) | ((x_1 <= 0) & (not open_1))))
 
 
 def make_course(

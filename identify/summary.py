@@ -120,7 +120,9 @@ def _one(
     unit = _shown(spec, case.spec.command_unit)
     shown = name.rsplit(".", 1)[-1]
     if spec.outside:
-        shown, unit = spec.outside
+        shown, unit = spec.outside[0], with_command(
+            spec.outside[1], case.spec.command_unit
+        )
         if std is not None and interval is not None and value > 0:
             ends = [1 / max(e, 1e-12) for e in interval]
             std, interval = std / value**2, (min(ends), max(ends))

@@ -11,8 +11,11 @@ The bristle and the filtered speed are at zero when a log begins. Motion is give
 Conventions where an effect's law leaves room: pressures are absolute; viscous, Stribeck
 and bristle-damping forces stand inside f_c (3), so they carry the factor 1 - L;
 presliding friction sees the piston's force, before gravity and inertia enter; the
-command passes play, delay, spool, bias, deadband, in that order; Q_s of the supply
-line is the flow into the chamber being filled, and P_s is logged ahead of the line.
+command passes play, delay, slew, spool, bias, deadband, in that order; Q_s of the
+supply line is the flow through the edge that draws on it, and P_s is logged ahead of
+the line; what stretches between piston and encoder feels the piston's force, whose
+friction is taken along a line from tick to tick; a skewed channel is skewed in the log
+only, the loop reads it in time.
 
 Run as `python -m tests.generator --out DIR --seed 3 --effect internal_leakage`.
 """
@@ -39,13 +42,17 @@ Rig = dict[str, float]
 Effects = dict[str, dict[str, float]]
 Log = dict[str, np.ndarray]
 
-# Each effect's first parameter is its strength: at 0 it is absent (valve_lag: at inf).
+# Each effect's first parameter is its strength: at 0 it is absent, or at infinity.
+AT_INFINITY = ("valve_lag", "valve_rate_limit", "rod_compliance")
 CATALOGUE: Effects = {
     "valve_bias": {"u_0": 0.15},
     "valve_deadband": {"u_db": 0.15},
     "valve_hysteresis": {"u_h": 0.1},
     "valve_delay": {"tau_u": 1.3e-3},
     "valve_lag": {"omega": 2 * math.pi * 60, "zeta": 0.7},
+    "valve_rate_limit": {"r_v": 400.0},
+    "orifice_transition": {"dP_t": 2e6},
+    "underlap": {"u_ul": 0.1},
     "internal_leakage": {"c_il": 1e-12},
     "external_leakage": {"c_el": 3e-13},
     "supply_line_drop": {"k_s": 9e13},
@@ -54,21 +61,28 @@ CATALOGUE: Effects = {
     "viscous_friction": {"b": 1500.0},
     "stribeck": {"k_st": 250.0, "v_s": 5e-3},
     "bristle_damping": {"sigma_1": 3e4},
+    "frictional_lag": {"tau_h": 0.03},
     "pressure_friction": {"a": 0.25},
     "position_friction": {"a": 0.15, "wavelength": 0.02},
     "friction_drift": {"a": 0.15, "tau": 8.0},
     "payload_inertia": {"m": 15.0},
     "gravity_load": {"w": 150.0, "psi_0": 0.8},
+    "rod_compliance": {"k": 5e7},
+    "backlash": {"b": 3e-5, "F_w": 20.0},
     "loadcell_lag": {"tau_F": 3e-3},
     "loadcell_gain": {"eps": 0.02},
+    "channel_skew": {"tau_s": -1e-3},
     "pressure_sensor_lag": {"tau_P": 3e-3},
+    "pressure_sensor_bias": {"b_1": 1.5e5, "b_2": -1e5},
 }
 # Truths that no catalogue names: force at a fixed frequency, friction that has grown
-# while the piston stood still, a pulsating flow into chamber 1.
+# while the piston stood still, a pulsating flow into chamber 1, drag with the speed's
+# square.
 UNNAMED: Effects = {
     "force_ripple": {"force": 35.0, "frequency": 13.0},
     "dwell": {"a": 0.3, "tau": 2.0, "v_d": 2e-3},
     "flow_pulsation": {"flow": 1.5e-6, "frequency": 7.3},
+    "quadratic_drag": {"c": 2e5},
 }
 TYPICAL = CATALOGUE | UNNAMED
 
@@ -96,8 +110,11 @@ def strengths(effects: Effects) -> Effects:
     """Parameters of every effect: those given, typical ones beside, or its absence."""
     if unknown := set(effects) - set(TYPICAL):
         raise KeyError(f"no such effect: {sorted(unknown)}; known: {sorted(TYPICAL)}")
-    absent = {name: {next(iter(p)): 0.0} for name, p in TYPICAL.items()}
-    absent["valve_lag"] = {"omega": math.inf}
+    absent = {
+        name: {next(iter(p)): math.inf if name in AT_INFINITY else 0.0}
+        for name, p in TYPICAL.items()
+    }
+    absent["pressure_sensor_bias"]["b_2"] = 0.0
     return {n: TYPICAL[n] | effects.get(n, absent[n]) for n in TYPICAL}
 
 
@@ -203,8 +220,11 @@ def friction(rig: Rig, e: Effects, t, x, v) -> tuple[np.ndarray, ...]:
     """
     z, z_ss = bristle(x, rig["z_ss"]), rig["z_ss"]
     slow = lowpass(np.abs(v), L_RATE, STEP, 0.0)[::SUBSTEPS]
-    x, v = x[::SUBSTEPS], v[::SUBSTEPS]
-    extra = e["stribeck"]["k_st"] * np.exp(-((v / e["stribeck"]["v_s"]) ** 2))
+    film, tau_h = v, e["frictional_lag"]["tau_h"]
+    if tau_h:
+        film = lowpass(v, 1 / tau_h, STEP, v[0])
+    x, v, film = x[::SUBSTEPS], v[::SUBSTEPS], film[::SUBSTEPS]
+    extra = e["stribeck"]["k_st"] * np.exp(-((film / e["stribeck"]["v_s"]) ** 2))
     level = np.where(z > 0, rig["k_cp"], rig["k_cn"]) + extra
     place, drift = e["position_friction"], e["friction_drift"]
     dwell = e["dwell"]
@@ -212,8 +232,10 @@ def friction(rig: Rig, e: Effects, t, x, v) -> tuple[np.ndarray, ...]:
     level *= 1 + place["a"] * np.sin(2 * np.pi * x / place["wavelength"])
     level *= 1 + drift["a"] * (np.exp(-t / drift["tau"]) - 1)
     level *= 1 + dwell["a"] * rest
-    others = rig["k_0"] - np.where(v > 0, rig["k_vp"], rig["k_vn"] * (v < 0)) * v
-    others += e["viscous_friction"]["b"] * v
+    fall = np.where(film > 0, rig["k_vp"], rig["k_vn"] * (film < 0))
+    others = rig["k_0"] - fall * film
+    others += e["viscous_friction"]["b"] * film
+    others += e["quadratic_drag"]["c"] * film * np.abs(film)
     others += e["bristle_damping"]["sigma_1"] * (v - np.abs(v) * z / z_ss)
     return np.clip(z / z_ss, -1, 1) * level, others, 1 / (1 + (L_SLOPE * slow) ** 3)
 
@@ -236,30 +258,67 @@ def pressure_rates(rig: Rig, e: Effects) -> Callable[..., tuple]:
     c_il, c_el = e["internal_leakage"]["c_il"], e["external_leakage"]["c_el"]
     k_s = e["supply_line_drop"]["k_s"]
     alpha, n, p_0 = (e["entrained_air"][k] for k in ("alpha", "n", "p_0"))
+    lap, laminar = e["underlap"]["u_ul"], e["orifice_transition"]["dP_t"] ** 2
+    stretch = stretching(rig, e)
+
+    def root(drop: float) -> float:
+        """Square root of a pressure drop, laminar below dP_t."""
+        if laminar:
+            return drop / (drop * drop + laminar) ** 0.25
+        return sqrt(max(drop, 0.0))
 
     def modulus(p: float) -> float:
         """Bulk modulus [Pa] of oil with air in it."""
         p = max(p, 1e4)
         return 1 / (1 / beta + alpha * (p_0 / p) ** (1 / n) / (n * p))
 
-    def rates(p1, p2, u, p_s, v1, v2, swept, pulse):
+    def flow(edge: float, drop: float, loss: float) -> float:
+        """Q of Q = edge root(drop - loss Q^2), m^3/s."""
+        return edge * root(drop / (1 + loss * edge * edge))
+
+    def rates(p1, p2, u, p_s, v1, v2, swept, pulse, *rod):
         """Opening u [V], volumes v1, v2 [m^3], swept flow A v [m^3/s]."""
-        if u > 0:  # Q = c u sqrt(P_s - k_s Q^2 - P) solved for Q
-            o1, o2 = c_p1 * u, -c_n2 * u
-            q1 = o1 * sqrt(max(p_s - p1, 0.0) / (1 + k_s * o1 * o1))
-            q2 = o2 * sqrt(max(p2 - p_r, 0.0))
-        else:
-            o1, o2 = c_n1 * u, -c_p2 * u
-            q1 = o1 * sqrt(max(p1 - p_r, 0.0))
-            q2 = o2 * sqrt(max(p_s - p2, 0.0) / (1 + k_s * o2 * o2))
+        up, down = max(lap + u, 0.0), max(lap - u, 0.0)
+        q1 = q2 = 0.0
+        if up:
+            q1 += flow(c_p1 * up, p_s - p1, k_s)
+            q2 -= flow(c_n2 * up, p2 - p_r, 0.0)
+        if down:
+            q1 -= flow(c_n1 * down, p1 - p_r, 0.0)
+            q2 += flow(c_p2 * down, p_s - p2, k_s)
         cross = c_il * (p1 - p2)
         b1, b2 = (modulus(p1), modulus(p2)) if alpha else (beta, beta)
-        return (
-            b1 * (q1 + swept - cross - c_el * (p1 - p_r) + pulse) / v1,
-            b2 * (q2 - swept + cross - c_el * (p2 - p_r)) / v2,
-        )
+        q1 += -cross - c_el * (p1 - p_r) + pulse
+        q2 += cross - c_el * (p2 - p_r)
+        if rod:
+            swept += stretch(p1, p2, q1 + swept, q2 - swept, b1 / v1, b2 / v2, *rod)
+        return b1 * (q1 + swept) / v1, b2 * (q2 - swept) / v2
 
     return rates
+
+
+def stretching(rig: Rig, e: Effects) -> Callable[..., float]:
+    """The flow [m^3/s] that the piston sweeps beside A v, as rod and play give.
+
+    It moves at w = s'(F) dF/dt, F that of `piston_force`; its drive changes by
+    A (dP2/dt - dP1/dt) less the friction's own rate, the pressures by w again, and k
+    with L: a linear equation in w.
+    """
+    area, delta, k_p, k_n = (rig[k] for k in ("area", "delta", "k_fp", "k_fn"))
+    give, play = 1 / e["rod_compliance"]["k"], e["backlash"]
+
+    def flow(p1, p2, q1, q2, stiff1, stiff2, drag, drag_rate, ell, ell_rate) -> float:
+        drive = area * (p2 - p1) - drag
+        force = piston_force(drive, ell * k_p, ell * k_n, delta)
+        k, soft = k_p if drive > 0 else k_n, 1 + delta * abs(force)
+        follow = 1 / (1 + ell * k / soft**2)  # dF / d drive
+        steep = 1 / math.cosh(min(abs(force) / play["F_w"], 50.0)) ** 2
+        c = follow * (give + play["b"] / 2 / play["F_w"] * steep)
+        rate = area * (stiff2 * q2 - stiff1 * q1) - drag_rate
+        rate -= ell_rate * k * force / soft
+        return area * c * rate / (1 + c * area * area * (stiff1 + stiff2))
+
+    return flow
 
 
 class Valve:
@@ -270,6 +329,7 @@ class Valve:
         self.bias, self.late = e["valve_bias"]["u_0"], e["valve_delay"]["tau_u"] / STEP
         self.held, self.spool = 0.0, np.zeros(2)
         self.past = [0.0] * (int(self.late) + 1)
+        self.reach, self.slewed = e["valve_rate_limit"]["r_v"] * STEP, 0.0
         w, zeta = e["valve_lag"]["omega"], e["valve_lag"]["zeta"]
         self.lag = math.isfinite(w)
         if self.lag:
@@ -283,13 +343,24 @@ class Valve:
     def openings(self, u: float) -> list[tuple[float, float]]:
         """(opening at the start, at the end) of each substep under the command u."""
         self.held = u = min(max(self.held, u - self.play), u + self.play)
-        if not self.late and not self.lag:
+        slews = math.isfinite(self.reach)
+        if not self.late and not self.lag and not slews:
             return [(self.opening(u),) * 2] * SUBSTEPS
         part = self.late % 1
         line = self.past + [u] * SUBSTEPS
         self.past = line[SUBSTEPS:]
         steps = range(SUBSTEPS)
         u_late = [(1 - part) * line[j + 1] + part * line[j] for j in steps]
+        if slews:
+            u_slow = [self.slewed]
+            for goal in u_late:
+                step = min(max(goal - u_slow[-1], -self.reach), self.reach)
+                u_slow.append(u_slow[-1] + step)
+            self.slewed = u_slow[-1]
+            if not self.lag:
+                ends = [self.opening(y) for y in u_slow]
+                return list(zip(ends[:-1], ends[1:], strict=True))
+            u_late = [(a + b) / 2 for a, b in zip(u_slow[:-1], u_slow[1:], strict=True)]
         if not self.lag:
             return [(o, o) for o in map(self.opening, u_late)]
         (a, b), (c, d) = self.map
@@ -367,14 +438,22 @@ def given_force(rig: Rig, e: Effects, t, x, accel) -> np.ndarray:
     return total + ripple["force"] * np.sin(2 * np.pi * ripple["frequency"] * t)
 
 
-def road(rig: Rig, e: Effects, t, p_s, x, v) -> list[tuple]:
-    """What drives `rates` besides opening and pressures, on the fine grid t [s]."""
+def road(rig: Rig, e: Effects, t, p_s, x, v, parts) -> list[tuple]:
+    """What drives `rates` besides opening and pressures, on the fine grid t [s].
+
+    `parts` are friction's, at the ticks: they matter where something stretches.
+    """
     half, spare = rig["chamber_length"] / 2, e["dead_volume"]["V_0"]
     v1 = rig["area"] * (half + rig["delta_1"] - x) + spare
     v2 = rig["area"] * (half + rig["delta_2"] + x) + spare
     hum = e["flow_pulsation"]
     pulse = hum["flow"] * np.sin(2 * np.pi * hum["frequency"] * t)
     columns = (p_s, v1, v2, rig["area"] * v, pulse)
+    if math.isfinite(e["rod_compliance"]["k"]) or e["backlash"]["b"]:
+        coulomb, others, ell = parts
+        drag = np.interp(t, t[::SUBSTEPS], (1 - ell) * (coulomb + others))
+        ell = np.interp(t, t[::SUBSTEPS], ell)
+        columns += (drag, np.gradient(drag, STEP), ell, np.gradient(ell, STEP))
     return list(zip(*(c.tolist() for c in columns), strict=True))
 
 
@@ -402,14 +481,16 @@ def record(
     noise = streams[3].normal(size=(count, 4)) * [NOISE_P, NOISE_P, NOISE_P, NOISE_F]
     psi = np.round(path(t) / rig["radius"] / ENCODER) * ENCODER
     given = given_force(rig, e, t, path(t), path(t, 2))
-    force = force_at(rig, e, friction(rig, e, t, x, v), given, p_s)
-    drive = road(rig, e, fine, np.interp(fine, t, p_s), x, v)
+    parts = friction(rig, e, t, x, v)
+    force = force_at(rig, e, parts, given, p_s)
+    drive = road(rig, e, fine, np.interp(fine, t, p_s), x, v, parts)
 
     rates, valve = pressure_rates(rig, e), Valve(e)
     loop = ForceLoop(nominal_rig(rig, 0, 0.1))
     sensor_p = sensor_lag(e["pressure_sensor_lag"]["tau_P"])
     sensor_f = sensor_lag(e["loadcell_lag"]["tau_F"])
     share = 1 + e["loadcell_gain"]["eps"]
+    b_1, b_2 = (e["pressure_sensor_bias"][b] for b in ("b_1", "b_2"))
     inputs = (psi, noise, p_s, wanted, np.gradient(wanted, TICK))
     p1, p2 = start_pressures(rig, float(p_s[0]), float(wanted[0] - given[0]))
     past = seen = (p1, p2, force(0, p1, p2))
@@ -419,7 +500,7 @@ def record(
         now = (p1, p2, force(k, p1, p2))
         lags = zip((sensor_p, sensor_p, sensor_f), seen, past, now, strict=True)
         seen, past = tuple(lag(*m) for lag, *m in lags), now
-        truth = (*seen[:2], line, share * seen[2])
+        truth = (seen[0] + b_1, seen[1] + b_2, line, share * seen[2])
         read = [value + error for value, error in zip(truth, n, strict=True)]
         rows.append((loop.command(angle, *read, *goal), *read))
         openings = valve.openings(rows[-1][0])
@@ -427,6 +508,9 @@ def record(
         if k + 1 < count:
             p1, p2 = integrate(rates, p1, p2, openings, here)
     u, p_a1, p_a2, p_line, measured = np.array(rows).T
+    if skew := e["channel_skew"]["tau_s"]:
+        error = noise[:, 3]
+        measured = CubicSpline(t, measured - error)(t + skew) + error
     signals = (t, u, psi, p_a1, p_a2, p_line, measured, wanted)
     return dict(zip(COLUMNS, signals, strict=True))
 

@@ -9,9 +9,12 @@ from scipy.integrate import solve_ivp
 
 from hydrojax.channels import (
     QUEUE,
+    REACH,
+    ChannelSkew,
     CommandChannel,
     LoadcellGain,
     LoadcellLag,
+    PressureSensorBias,
     PressureSensorLag,
     SensorChannel,
     ValveBias,
@@ -19,11 +22,17 @@ from hydrojax.channels import (
     ValveDelay,
     ValveHysteresis,
     ValveLag,
+    ValveRateLimit,
 )
 
 H = 1e-3
-COMMAND = (ValveDelay, ValveBias, ValveHysteresis, ValveLag, ValveDeadband)
-SENSOR = (LoadcellLag, LoadcellGain, PressureSensorLag)
+COMMAND = (
+    ValveDelay, ValveBias, ValveHysteresis, ValveRateLimit, ValveLag, ValveDeadband,
+)  # fmt: skip
+SENSOR = (
+    LoadcellLag, LoadcellGain, ChannelSkew, PressureSensorLag,
+    PressureSensorBias().of_chamber(1),
+)  # fmt: skip
 
 
 def held(n=200, seed=0):
@@ -62,8 +71,10 @@ def test_command_channel_at_zero_is_the_identity(kind):
 
 @pytest.mark.parametrize("kind", SENSOR)
 def test_sensor_channel_at_zero_is_the_identity(kind):
+    channel = kind() if isinstance(kind, type) else kind
     y = 5e6 + 1e5 * held()
-    assert np.allclose(read(kind(), y, (y[1] - y[0]) / H), y[1:], rtol=1e-12, atol=0)
+    got = read(channel, y, (y[1] - y[0]) / H)
+    assert np.allclose(got, y[1:], rtol=1e-12, atol=0)
 
 
 # -- delay --
@@ -102,6 +113,38 @@ def test_delay_past_its_queue_stays_within_what_was_written():
     got = run(ValveDelay(tau_u=0.011), u, H / 16)[0]
     assert QUEUE < 0.011 / (H / 16)
     assert np.max(np.abs(got)) <= 1 + 1e-9
+
+
+# -- slew --
+
+
+def slewed(u, r_v, h, fine=4000):
+    """Means over each tick, and ends, of a spool that runs after the held command."""
+    y, means, ends = u[0], [], []
+    for value in u:
+        s = h * np.arange(fine + 1) / fine
+        way = np.minimum(r_v * s, abs(value - y))
+        course = y + np.sign(value - y) * way
+        means.append(np.trapezoid(course, s) / h)
+        y = course[-1]
+        ends.append(y)
+    return np.array(means), np.array(ends)
+
+
+@pytest.mark.parametrize("r_v", [20.0, 300.0, 1e3, 1e5])
+def test_slew_is_the_exact_mean_of_the_ramp(r_v):
+    u = held(60)
+    got, place = run(ValveRateLimit(slew=1 / r_v), u)
+    means, ends = slewed(u, r_v, H)
+    assert np.allclose(got, means, rtol=0, atol=1e-6)
+    assert np.allclose(place, ends, rtol=0, atol=1e-12)
+
+
+def test_slew_does_not_depend_on_how_ticks_are_cut():
+    u, channel = held(60), ValveRateLimit(slew=1 / 300.0)
+    whole = run(channel, u)[0]
+    parts = run(channel, np.repeat(u, 4), H / 4)[0].reshape(-1, 4).mean(1)
+    assert np.allclose(whole, parts, rtol=1e-10, atol=1e-12)
 
 
 # -- lag --
@@ -227,3 +270,31 @@ def test_sensor_lag_follows_its_equation(kind, field, tau):
 def test_gain_scales_the_reading():
     y = 1e3 * held()
     assert np.allclose(read(LoadcellGain(eps=0.03), y, 0.0), 1.03 * y[1:], rtol=1e-12)
+
+
+def test_each_pressure_sensor_has_its_own_bias():
+    y, both = 5e6 + 1e5 * held(), PressureSensorBias(b_1=2e4, b_2=-3e4)
+    for i, b in enumerate((2e4, -3e4)):
+        assert np.allclose(read(both.of_chamber(i), y, 0.0), y[1:] + b, rtol=1e-12)
+
+
+@pytest.mark.parametrize("tau", [1e-3, 0.4e-3, -0.3e-3, -1e-3, -2.6e-3])
+def test_skew_reads_along_the_line_between_ticks(tau):
+    """Early: along the last tick's line. Late: between earlier ticks, exactly."""
+    t = H * np.arange(60)
+    rough = 1e3 * held(60)
+    got = read(ChannelSkew(tau_s=tau), rough, 0.0)
+    if tau > 0:
+        want = rough[1:] + tau * np.diff(rough) / H
+    else:
+        want = np.interp(t[1:] + tau, t, rough)
+    settled = slice(REACH, None)
+    assert np.allclose(got[settled], want[settled], rtol=1e-9, atol=1e-9)
+    line = read(ChannelSkew(tau_s=tau), 3.0 + 40 * t, 40.0)
+    assert np.allclose(line[settled], 3.0 + 40 * (t[1:] + tau)[settled], rtol=1e-12)
+
+
+def test_skew_past_its_queue_reads_its_oldest():
+    y = held(60)
+    got = read(ChannelSkew(tau_s=-3e-3), y, 0.0, H / 10)
+    assert np.allclose(got[REACH:], y[2 : 2 + len(got) - REACH])

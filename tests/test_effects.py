@@ -16,15 +16,16 @@ from hydrojax.identify.misfit import (
     predict,
     sensitivities,
 )
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from hydrojax.effects import EFFECTS
-from hydrojax.friction import Sliding
+from hydrojax.friction import PAST, Friction, Sliding, run_linear
 from hydrojax.hydraulics import Point
 from hydrojax.named import get, parameter_specs, put
 from hydrojax.params import specs
 from hydrojax.replay import friction_memory, pressures, readings
-from hydrojax.rig import PLACES, add
+from hydrojax.rig import PLACES, Tick, add
 
 SHAPES = {
     "gravity_load": {"radius": 0.085},
@@ -35,9 +36,13 @@ SHAPES = {
 ALL = (0, 1, 2)
 REACH = {
     "command": ALL,
+    "orifice": ALL,
     "supply": ALL,
     "flow": ALL,
+    "volume": ALL,
     "compliance": ALL,
+    "stretch": ALL,
+    "velocity": (2,),
     "level": (2,),
     "friction": (2,),
     "force": (2,),
@@ -85,9 +90,21 @@ class Replay:
         return self._both(rig, np.array([float(n == name) for n in self.names]))
 
 
+ONE_SENSOR = {"pressure_sensor_bias.b_1": (0,), "pressure_sensor_bias.b_2": (1,)}
+"""Strengths that stand on one sensor only."""
+
+ONE_CHAMBER = {"dead_volume.V_01": (0, 2), "dead_volume.V_02": (1, 2)}
+
+
 @pytest.fixture(scope="module")
 def log(drive):
-    return drive()
+    """The synthetic log, with a logged force for what the force stretches."""
+    log = drive()
+    w = log.windows
+    scored = w.t[:, -w.measured.shape[1] :]
+    force = np.zeros(w.measured.shape)
+    force[..., 2] = 30 + 300 * np.sin(2 * np.pi * 19.0 * scored)
+    return log._replace(windows=w._replace(measured=force))
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +158,7 @@ def test_dormant_effect_is_alive(rig, without, replays, name, field):
 
     want = 2 * difference(5e-4) - difference(1e-3)  # free of the first-order error
     reach = REACH[EFFECTS[name].place]
+    reach = (ONE_SENSOR | ONE_CHAMBER).get(strength, reach)
     for channel in ALL:
         if channel in reach:
             size = np.linalg.norm(want[..., channel])
@@ -268,6 +286,116 @@ def test_force_effect_is_its_formula(name, fields, want):
     assert EFFECTS[name](**fields).force(SLIDING) == pytest.approx(want, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "fields", "want"),
+    [
+        ("rod_compliance", {"give": 2e-8}, 2e-8 * 400.0),
+        ("backlash", {"b": 1e-4, "F_w": 200.0}, 0.5e-4 * np.tanh(2.0)),
+    ],
+)
+def test_stretch_effect_is_its_formula(name, fields, want):
+    assert EFFECTS[name](**fields).stretch(400.0) == pytest.approx(want, rel=1e-12)
+
+
+# -- friction's lag --
+
+
+def lag_error(tau, hertz):
+    """Of the velocity that friction sees, in a sine of size 1: off its closed form."""
+    omega, quarter, n = 2 * np.pi * hertz, 2.5e-4, 16000
+    t = quarter * np.arange(n + 1)
+    dx = np.diff(-np.cos(omega * t) / omega)
+    keep, add = Friction().past_map(jnp.asarray(dx), quarter)
+    past = run_linear(keep, add, jnp.zeros(len(PAST)))
+    v = np.sin(omega * t[1:])
+    seen = EFFECTS["frictional_lag"](tau_h=tau).seen(v, jnp.moveaxis(past, 0, -1))
+    size, angle = 1 / np.hypot(1, omega * tau), np.arctan(omega * tau)
+    error = np.asarray(seen) - size * np.sin(omega * t[1:] - angle)
+    return np.max(np.abs(error[-4000:]))
+
+
+@pytest.mark.parametrize("hertz", [0.5, 3.0, 10.0, 30.0])
+def test_frictional_lag_is_a_first_order_lag(hertz):
+    for tau in PAST:
+        assert lag_error(tau, hertz) < 2e-3
+    for tau in np.geomspace(5e-4, 0.28, 9):
+        assert lag_error(tau, hertz) < 0.03
+
+
+def test_frictional_lag_reaches_all_that_depends_on_speed(rig, log):
+    """In steady motion nothing lags; beyond its range it stays."""
+    v, past = jnp.full(3, 0.02), jnp.full((3, len(PAST)), 0.02)
+    for tau in (0.0, 2e-3, 0.04, 0.3, 5.0):
+        seen = EFFECTS["frictional_lag"](tau_h=tau).seen(v, past)
+        assert np.allclose(seen, 0.02, rtol=1e-12)
+
+
+# -- a rod that gives, in simulation --
+
+
+def test_what_stretches_gives_way_as_the_force_rises(rig):
+    """Joint locked, valve open: against the same plant in scipy, with its own force.
+
+    The oil's stiffness is twice the rod's: an explicit coupling would not stand.
+    """
+    k, h, ticks = 1e7, 2.5e-4, 240
+    for effect in (
+        EFFECTS["rod_compliance"](give=1 / k),
+        EFFECTS["backlash"](b=1e-4, F_w=40.0),
+    ):
+        soft = add(rig, [effect])
+        lane = jnp.zeros(1)
+        state = soft.init(lane, lane + 7e6, lane + 6.9e6, lane + 2e-3)
+        tick = Tick(
+            h=lane + h,
+            u=lane,
+            P_s=jnp.full((1, 2), 14e6),
+            P_r=jnp.full((1, 2), 0.25e6),
+            x=jnp.full((1, 3), 2e-3),
+            dx=jnp.zeros((1, 4)),
+            v=lane,
+            a=lane,
+            t=lane,
+        )
+
+        def one(state, i, soft=soft, tick=tick, lane=lane):
+            opening = (lane, lane + 1.0)
+            state = soft.act(state, opening, tick)
+            F = soft.output_force(soft.sliding(state, tick))
+            return state, jnp.stack([*state.P, F])
+
+        got = np.asarray(jax.lax.scan(one, state, jnp.arange(ticks))[1])[..., 0]
+
+        def force(P_1, P_2, soft=rig):
+            at = SLIDING._replace(
+                x=2e-3, v=0.0, a=0.0, z=0.0, z_rate=0.0, speed=0.0, P_a1=P_1, P_a2=P_2
+            )
+            return float(soft.output_force(at))
+
+        def rates(t, P, effect=effect):
+            at = AT._replace(
+                P_a1=P[0], P_a2=P[1], open_p=0.0, open_n=1.0, x=2e-3, v=0.0
+            )
+            still = np.array(rig.pressure_rates(at))
+            moving = np.array(rig.pressure_rates(at._replace(v=1.0)))
+            here, d = force(*P), 20.0
+            follow = (force(P[0], P[1] + d) - here) / (1.18e-3 * d)
+            steep = float(effect.stretch(here + 1e-3) - effect.stretch(here - 1e-3))
+            c = follow * steep / 2e-3
+            area = np.array([-1.18e-3, 1.18e-3])
+            v = c * area @ still / (1 - c * area @ (moving - still))
+            return still + (moving - still) * v
+
+        out = solve_ivp(
+            rates, (0, h * ticks), [7e6, 6.9e6], rtol=1e-8, max_step=1e-3,
+            t_eval=h * np.arange(1, ticks + 1),
+        )  # fmt: skip
+        want = out.y.T
+        moved = np.ptp(want[:, 1])
+        assert np.max(np.abs(got[:, :2] - want)) < 0.01 * moved
+        assert got[0, 2] < -50 and got[-1, 2] > 200
+
+
 # -- what is declared --
 
 
@@ -284,9 +412,10 @@ def units():
 def test_every_parameter_is_declared_in_full(declared, units):
     for name, spec in declared.items():
         units.parse_units(spec.unit.replace("{u}", "V"))
+        stored = spec.unit.replace("{u}", "V")
         if spec.outside:
-            inverse = 1 / units.Quantity(1, spec.outside[1])
-            assert inverse.check(units.Quantity(1, spec.unit).dimensionality), name
+            inverse = 1 / units.Quantity(1, spec.outside[1].replace("{u}", "V"))
+            assert inverse.check(units.Quantity(1, stored).dimensionality), name
         assert np.isfinite([spec.lower, spec.upper]).all(), name
         assert spec.lower < spec.upper, name
         assert spec.lower <= spec.default <= spec.upper, name

@@ -9,7 +9,7 @@ import pytest
 
 from tests import generator
 
-ABSENT = {"valve_lag": np.inf}
+ABSENT = dict.fromkeys(generator.AT_INFINITY, np.inf)
 
 
 def white(signal: np.ndarray) -> float:
@@ -79,6 +79,8 @@ def test_an_effect_at_zero_is_none_and_at_its_size_is_seen(rig, name):
     strength = next(iter(generator.TYPICAL[name]))
     none = generator.record(rig, 5, seconds=0.5)
     zero = {name: {strength: ABSENT.get(name, 0.0)}}
+    if name == "pressure_sensor_bias":
+        zero[name]["b_2"] = 0.0
     absent = generator.record(rig, 5, seconds=0.5, effects=zero)
     present = generator.record(rig, 5, seconds=0.5, effects={name: {}})
     for signal in none:
@@ -91,7 +93,17 @@ def test_unknown_effect_is_refused(rig):
         generator.record(rig, 5, seconds=0.1, effects={"phlogiston": {}})
 
 
-@pytest.mark.parametrize("name", [None, "valve_lag", "valve_delay"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        None,
+        "valve_lag",
+        "valve_delay",
+        "valve_rate_limit",
+        "rod_compliance",
+        "backlash",
+    ],
+)
 def test_the_substep_is_fine_enough(rig, name, monkeypatch):
     effects = {name: {}} if name else {}
     coarse = generator.record(rig, 5, seconds=1.0, effects=effects)

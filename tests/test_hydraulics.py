@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 
+from hydrojax.effects import EFFECTS
 from hydrojax.hydraulics import Chambers, Point, root_flow
 from hydrojax.named import get, put
 from hydrojax.rig import bare_rig
@@ -172,3 +173,63 @@ def test_fluid_is_conserved_when_both_chambers_move_together():
         here = chambers.lengths(at.x)[length]
         there = chambers.lengths(at.x + at.v * eps)[length]
         assert rate == pytest.approx(-8.5e8 * np.log(there / here) / eps, rel=1e-5)
+
+
+# -- effects of the edges and of the volumes --
+
+
+@pytest.mark.parametrize("drop", [1e4, 3e5, 6e6, -2e6])
+def test_a_wider_core_is_laminar_below_it(drop):
+    got = root_flow(drop, core=0.0, wider=1e6**2)
+    assert got == pytest.approx(drop / (drop**2 + 1e12) ** 0.25, rel=1e-12)
+
+
+def test_orifice_transition_is_its_formula(rig):
+    at = point(2.0)
+    c, effect = lands_of(rig), EFFECTS["orifice_transition"](dP_t2=1.5e6**2)
+
+    def root(drop):
+        return drop / (drop**2 + 1.5e6**2) ** 0.25
+
+    want = (c["c_p1"] * 2 * root(9e6), -c["c_n2"] * 2 * root(6.25e6))
+    got = rig.lands.flows(at, orifices=(effect,))
+    assert np.allclose(got, want, rtol=FAR, atol=0)
+
+
+@pytest.mark.parametrize("u", [0.7, 0.1, 0.0, -0.05, -0.2, -3.0])
+def test_underlap_opens_all_edges_near_zero(rig, u):
+    lap, at = 0.2, point(u)
+    c = lands_of(rig)
+    up, down = max(lap + u, 0.0), max(lap - u, 0.0)
+    supply_1, supply_2 = np.sqrt(at.P_s - at.P_a1), np.sqrt(at.P_s - at.P_a2)
+    back_1, back_2 = np.sqrt(at.P_a1 - at.P_r), np.sqrt(at.P_a2 - at.P_r)
+    want = (
+        c["c_p1"] * up * supply_1 - c["c_n1"] * down * back_1,
+        c["c_p2"] * down * supply_2 - c["c_n2"] * up * back_2,
+    )
+    got = rig.lands.flows(at, orifices=(EFFECTS["underlap"](u_ul=lap),))
+    assert np.allclose(got, want, rtol=FAR, atol=1e-18)
+
+
+def test_dead_volume_adds_to_the_chambers(rig):
+    at, flows = point(), (np.float64(3e-6), np.float64(-2e-6))
+    effect = EFFECTS["dead_volume"](V_01=2e-5, V_02=3e-5)
+    area, beta = 1.18e-3, 8.5e8
+    V_1 = area * (0.1 + 12e-3 - at.x) + 2e-5
+    V_2 = area * (0.1 + 18e-3 + at.x) + 3e-5
+    got = rig.chambers.rates(at, *flows, volumes=(effect,))
+    want = (
+        beta / V_1 * (flows[0] + area * at.v),
+        beta / V_2 * (flows[1] - area * at.v),
+    )
+    assert np.allclose(got, want, rtol=1e-12)
+
+
+def test_dead_volume_is_an_assembly_offset_by_another_name(rig):
+    """So a log with both offsets free cannot tell it."""
+    at, flows = point(), (np.float64(3e-6), np.float64(-2e-6))
+    dead = EFFECTS["dead_volume"](V_01=2e-5, V_02=3e-5)
+    names = ("delta_1", "delta_2")
+    moved = put(rig, names, get(rig, names) + np.array([2e-5, 3e-5]) / 1.18e-3)
+    got = rig.chambers.rates(at, *flows, volumes=(dead,))
+    assert np.allclose(got, moved.chambers.rates(at, *flows), rtol=1e-13)

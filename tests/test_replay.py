@@ -104,8 +104,11 @@ def test_a_rig_starts_at_rest(rig, drive):
     """Held at rest with the valve shut, nothing moves."""
     rig = everything(rig)
     lane = jnp.full(2, 1.0)
-    off = ("internal_leakage.c_il", "external_leakage.c_el", "valve_bias.u_0")
-    rig = put(rig, off, [0.0] * 3)
+    off = (
+        "internal_leakage.c_il", "external_leakage.c_el", "valve_bias.u_0",
+        "underlap.u_ul", "pressure_sensor_bias.b_1", "pressure_sensor_bias.b_2",
+    )  # fmt: skip
+    rig = put(rig, off, [0.0] * 6)
     state = rig.init(0 * lane, 6e6 * lane, 7e6 * lane, 1e-3 * lane)
     pair = jnp.stack([14e6 * lane] * 2, axis=-1)
     still = Tick(

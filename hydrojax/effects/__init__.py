@@ -2,25 +2,53 @@
 
 from __future__ import annotations
 
+from functools import cache
+from pathlib import Path
+
+from jaxtyping import Array
+
 from ..channels import (
+    ChannelSkew,
+    CommandChannel,
     LoadcellGain,
     LoadcellLag,
+    PressureSensorBias,
     PressureSensorLag,
+    SensorChannel,
     ValveBias,
     ValveDeadband,
     ValveDelay,
     ValveHysteresis,
     ValveLag,
+    ValveRateLimit,
 )
-from ..params import Effect
-from .hydraulic import EntrainedAir, ExternalLeakage, InternalLeakage, SupplyLineDrop
+from ..params import Effect, param
+from . import own
+from .hydraulic import (
+    DeadVolume,
+    EntrainedAir,
+    ExternalLeakage,
+    FlowEffect,
+    InternalLeakage,
+    OrificeEffect,
+    OrificeTransition,
+    SupplyLineDrop,
+    Underlap,
+)
 from .mechanical import (
+    Backlash,
     BristleDamping,
+    ForceEffect,
+    FrictionalLag,
     FrictionDrift,
+    FrictionForce,
     GravityLoad,
+    LevelEffect,
     PayloadInertia,
     PositionFriction,
     PressureFriction,
+    RodCompliance,
+    StretchEffect,
     Stribeck,
     ViscousFriction,
 )
@@ -29,28 +57,64 @@ EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect
     for effect in (
         # The order on the command's path: the delay holds what the controller wrote,
-        # the spool lags and sticks, its null is off, and the lands overlap last.
+        # the spool sticks, slews and lags, its null is off, the lands overlap last.
         ValveDelay,
         ValveHysteresis,
+        ValveRateLimit,
         ValveLag,
         ValveBias,
         ValveDeadband,
+        OrificeTransition,
+        Underlap,
         SupplyLineDrop,
         InternalLeakage,
         ExternalLeakage,
+        DeadVolume,
         EntrainedAir,
         ViscousFriction,
         Stribeck,
         BristleDamping,
+        FrictionalLag,
         PressureFriction,
         PositionFriction,
         FrictionDrift,
         PayloadInertia,
         GravityLoad,
+        RodCompliance,
+        Backlash,
         LoadcellLag,
         LoadcellGain,
+        ChannelSkew,
         PressureSensorLag,
+        PressureSensorBias,
     )
 }
 
-__all__ = ["EFFECTS", "Effect"]
+
+def load_effects(path: str | Path) -> dict[str, type[Effect]]:
+    """Add the effects that a Python file defines; see `own.load_effects`."""
+    return own.load_effects(path, EFFECTS)
+
+
+@cache
+def offered() -> dict[str, type[Effect]]:
+    """Add, once, the effects that installed packages offer; see `own.offered`."""
+    return own.offered(EFFECTS)
+
+
+__all__ = [
+    "EFFECTS",
+    "Array",
+    "CommandChannel",
+    "Effect",
+    "FlowEffect",
+    "ForceEffect",
+    "FrictionForce",
+    "LevelEffect",
+    "OrificeEffect",
+    "SensorChannel",
+    "StretchEffect",
+    "load_effects",
+    "offered",
+    "param",
+]

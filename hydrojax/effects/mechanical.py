@@ -1,4 +1,4 @@
-"""Effects that add in the mechanics: Coulomb level, friction forces, forces."""
+"""Effects that add in the mechanics: speed, level, friction, forces, stretch."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..friction import Sliding
+from ..friction import PAST, Sliding
 from ..params import Effect, param
 
 
@@ -127,6 +127,93 @@ class BristleDamping(FrictionForce):
 
     def force(self, at):
         return self.sigma_1 * at.z_rate
+
+
+def _squeeze(tau):
+    """Time constants [0, inf) laid on [0, 1), where a lag is nearly a polynomial."""
+    return tau / (tau + 0.03)
+
+
+class FrictionalLag(Effect):
+    """Friction that follows the speed with a lag (F4), as the oil film's thickness.
+
+    All of f_c that depends on speed (k_v, Stribeck, viscous) sees the velocity through
+    a first-order lag of `tau_h`; the bristle does not. The lag depends on motion alone,
+    long before a window begins, so it is run once over a log for the time constants
+    `friction.PAST` and interpolated between them: within 3 % of amplitude up to 30 Hz.
+    """
+
+    name = "frictional_lag"
+    place = "velocity"
+    needs = ("F",)
+    betrayed_by = "a"
+    tau_h: Array = param("s", 0.0, 0.0, 0.3, "time constant", strength=True, size=5e-3)
+
+    def seen(self, v: Array, past: Array) -> Array:
+        """The velocity friction sees at `v`; `past` [..., len(PAST)] its lags, m/s."""
+        nodes = [0.0, *map(_squeeze, PAST)]
+        at = _squeeze(jnp.minimum(self.tau_h, PAST[-1]))
+        out = 0.0
+        for j, node in enumerate(nodes):
+            weight = 1.0
+            for i, other in enumerate(nodes):
+                if i != j:
+                    weight = weight * (at - other) / (node - other)
+            out = out + weight * (v if j == 0 else past[..., j - 1])
+        return out
+
+
+class StretchEffect(Effect):
+    """Lets the piston stand apart from the encoder: `stretch(F) -> m`.
+
+    In a replay the logged force drives it; in simulation the plant's own.
+    """
+
+    place = "stretch"
+    needs = ("u", "loadcell")
+    betrayed_by = "F"
+
+    def stretch(self, F: Array) -> Array:
+        """How far the piston stands ahead of the encoder under `F` (N), m."""
+        raise NotImplementedError
+
+
+class RodCompliance(StretchEffect):
+    """Rod and mount that give (M3): the piston stands `F/k` ahead of the encoder.
+
+    Stored as `1/k` so that absent is 0.
+    """
+
+    name = "rod_compliance"
+    give: Array = param(
+        "m/N",
+        0.0,
+        0.0,
+        1e-5,
+        "stiffness of the rod",
+        strength=True,
+        size=5e-9,
+        outside=("k", "N/m"),
+    )
+
+    def stretch(self, F):
+        return self.give * F
+
+
+class Backlash(StretchEffect):
+    """Play of width `b` between piston and load (M4): `b/2 tanh(F/F_w)`.
+
+    The play is crossed where F changes sign, over a force of about `F_w`.
+    """
+
+    name = "backlash"
+    b: Array = param("m", 0.0, 0.0, 5e-3, "width", strength=True, size=1e-5)
+    F_w: Array = param(
+        "N", 30.0, 2.0, 1e3, "force that crosses it", grid=(10.0, 30.0, 100.0)
+    )
+
+    def stretch(self, F):
+        return 0.5 * self.b * jnp.tanh(F / self.F_w)
 
 
 class ForceEffect(Effect):

@@ -1,0 +1,80 @@
+"""`python -m benchmarks.trace`: record cases, trace them, print the table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from . import baselines, cases, score, table, tracing
+from .catalogue import NAMED
+
+
+def main(
+    number: Annotated[int, typer.Option("--cases", help="cases to trace")] = 48,
+    out: Annotated[Path, typer.Option(help="folder of cases and results")] = Path(
+        "trace-benchmark"
+    ),
+    only: Annotated[str | None, typer.Option(help="one kind of case")] = None,
+    jobs: Annotated[int, typer.Option(help="processes that trace", min=1)] = 1,
+    with_baselines: Annotated[
+        bool, typer.Option("--baselines/--no-baselines", help="run the cheap ones too")
+    ] = True,
+    oracle: Annotated[
+        bool, typer.Option(help="fit the true structure where trace missed it")
+    ] = True,
+    refits: Annotated[
+        int, typer.Option(help="cases on which every candidate is refitted (slow)")
+    ] = 0,
+    cache: Annotated[
+        Path | None, typer.Option(help="folder for compiled programs")
+    ] = None,
+) -> None:
+    """Trace rigs with known truths and print what was found, as Markdown.
+
+    A run that was killed resumes where it stood; a run that is done is only printed.
+    """
+    if only is not None and only not in cases.KINDS:
+        raise typer.BadParameter(f"{only!r} is none of {', '.join(cases.KINDS)}")
+    console = Console(stderr=True)
+    from hydrojax.backend import set_up_jax
+
+    set_up_jax(cache)
+    from hydrojax.effects import EFFECTS
+
+    specs = cases.plan(number, only, [n for n in NAMED if n in EFFECTS])
+    tracer = tracing.Tracing(oracle, with_baselines, cache)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(elapsed_when_finished=False),
+    )
+    with Progress(*columns, console=console, speed_estimate_period=600) as progress:
+        task = progress.add_task("cases", total=len(specs))
+
+        def tell(what: str, done: int, total: int) -> None:
+            progress.update(task, description=what, completed=done, total=total)
+
+        rows = score.score(specs, out, tracer, jobs=jobs, tell=tell)
+        if refits:
+            baselines.refit_each(specs, out, refits, tell)
+    text = table.report(rows, baselines.read_refits(out))
+    (out / "table.md").write_text(text, encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    typer.run(main)

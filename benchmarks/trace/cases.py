@@ -1,0 +1,286 @@
+"""Cases: rigs with a known truth, their rig files, and their logs on disk.
+
+A case's name says what it is, and seeds it: the same name is the same case. Kinds:
+`nothing` (the declared model is whole), `parameters` (whole, but the rig file starts
+far off), `effect` (one hidden effect at 0.3, 1 or 3 times a size that matters), `pair`
+(two), `outside` (one that no vocabulary names), `noise` (nothing but unusual sensor
+noise) and `shift` (another load mass and supply pressure on the validation log).
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations, count
+from pathlib import Path
+
+import numpy as np
+
+from .catalogue import ALL, NAMED, OUTSIDE, SIZES
+from .excitation import NOISE, STYLES
+from .plant import MASS, Lane
+from .record import Log, record
+
+KINDS = ("nothing", "parameters", "effect", "pair", "outside", "noise", "shift")
+LOGS = tuple(f"{style}.csv" for style in STYLES)
+
+RANGES = {  # name: (unit, lower end, upper end)
+    "beta": ("Pa", 1e8, 3e9),
+    **{c: ("m^3/(s*V*Pa^0.5)", 2e-10, 2e-8) for c in ("c_p1", "c_n1", "c_p2", "c_n2")},
+    **{d: ("m", 0.0, 0.05) for d in ("delta_1", "delta_2")},
+    **{k: ("N", 0.0, 4000.0) for k in ("k_cp", "k_cn")},
+    "k_0": ("N", -800.0, 800.0),
+    **{k: ("N*s/m", -3e4, 3e4) for k in ("k_vp", "k_vn")},
+    **{k: ("1", 0.0, 3.0) for k in ("k_fp", "k_fn")},
+    "z_ss": ("m", 2e-6, 5e-4),
+    "delta": ("1/N", 1e-4, 1e-2),
+}
+COLUMNS = {  # signal: (unit, SI value of it, format)
+    "time": ("s", 1.0, "%.3f"),
+    "u": ("V", 1.0, "%.6f"),
+    "psi": ("rad", 1.0, "%.9f"),
+    **{p: ("bar", 1e5, "%.5f") for p in ("P_a1", "P_a2", "P_s")},
+    **{f: ("N", 1.0, "%.4f") for f in ("F", "F_d")},
+}
+
+
+@dataclass(frozen=True)
+class CaseSpec:
+    """What a case is before anything is simulated.
+
+    Attributes:
+        name: unique; it seeds the case.
+        effects: hidden effects by name, each with its size.
+        noise: the sensors' kind of noise.
+        shifted: another load mass and supply pressure on the validation log.
+        error: how far the rig file's starts may be off, relative.
+    """
+
+    name: str
+    kind: str
+    effects: Mapping[str, float] = field(default_factory=dict)
+    noise: str = "white"
+    shifted: bool = False
+    error: float = 0.1
+
+    @property
+    def seed(self) -> int:
+        """Seed of all that is drawn for this case."""
+        return zlib.crc32(self.name.encode())
+
+
+def plan(number: int, only: str | None = None, named: Sequence[str] = ()) -> list:
+    """The first `number` cases of the benchmark, kinds mixed; or of one kind `only`.
+
+    Args:
+        number: how many.
+        only: the kind, or None for all of them.
+        named: effects to hide in `effect` and `pair` cases; all of the vocabulary's
+            if empty. Effects that the tested library does not know belong left out.
+    """
+    names = list(named) or list(NAMED)
+    makers: dict[str, Iterator[CaseSpec]] = {
+        "nothing": (CaseSpec(f"nothing-{i}", "nothing") for i in count()),
+        "parameters": (
+            CaseSpec(f"parameters-{i}", "parameters", error=(0.25, 0.4)[i % 2])
+            for i in count()
+        ),
+        "effect": _effects(names),
+        "pair": _pairs(names),
+        "outside": _outside(),
+        "noise": _noises(),
+        "shift": _shifts(names),
+    }
+    if only is not None and only not in makers:
+        raise KeyError(f"no such kind of case: {only!r}; known: {list(makers)}")
+    # Of every 12: what is rare in one pass comes round in the next.
+    turn = (
+        "effect", "nothing", "effect", "outside", "effect", "parameters",
+        "effect", "pair", "effect", "nothing", "noise", "shift",
+    )  # fmt: skip
+    kinds = (only,) if only else turn
+    return [next(makers[kinds[i % len(kinds)]]) for i in range(number)]
+
+
+def _effects(names: Sequence[str]) -> Iterator[CaseSpec]:
+    """Every effect, at a size of its own each time round: three rounds are all."""
+    for i in count():
+        for j, name in enumerate(names):
+            size = SIZES[(i + j + 1) % len(SIZES)]
+            case = f"effect-{name}-{size:g}-{i // len(SIZES)}"
+            yield CaseSpec(case, "effect", {name: size})
+
+
+def _pairs(names: Sequence[str]) -> Iterator[CaseSpec]:
+    both = [
+        p for p in combinations(names, 2) if not (ALL[p[0]].known or ALL[p[1]].known)
+    ]
+    for i in count():
+        order = np.random.default_rng(i).permutation(len(both))
+        for a, b in (both[j] for j in order):
+            yield CaseSpec(f"pair-{a}+{b}-{i}", "pair", {a: 1.0, b: 1.0})
+
+
+def _outside() -> Iterator[CaseSpec]:
+    for i in count():
+        for name in OUTSIDE:
+            yield CaseSpec(f"outside-{name}-{i}", "outside", {name: 1.0})
+
+
+def _noises() -> Iterator[CaseSpec]:
+    for i in count():
+        for noise in ("coloured", "quantised", "heavy-tailed"):
+            yield CaseSpec(f"noise-{noise}-{i}", "noise", noise=noise)
+
+
+def _shifts(names: Sequence[str]) -> Iterator[CaseSpec]:
+    """Nothing missing and one effect by turns, under other load and supply."""
+    for i in count():
+        yield CaseSpec(f"shift-nothing-{i}", "shift", shifted=True)
+        name = names[i % len(names)]
+        yield CaseSpec(f"shift-{name}-{i}", "shift", {name: 1.0}, shifted=True)
+
+
+# -- from a case to files --
+
+
+def draw_rig(seed: int) -> dict[str, float]:
+    """True values, SI, of a random rig near the paper's."""
+    rng = np.random.default_rng([seed, 0])
+    spans = {
+        "beta": (6.5e8, 1.1e9),
+        **dict.fromkeys(("delta_1", "delta_2"), (8e-3, 25e-3)),
+        **dict.fromkeys(("k_cp", "k_cn"), (700.0, 1400.0)),
+        "k_0": (-100.0, 100.0),
+        **dict.fromkeys(("k_vp", "k_vn"), (2000.0, 5000.0)),
+        **dict.fromkeys(("k_fp", "k_fn"), (0.5, 1.0)),
+        "z_ss": (45e-6, 80e-6),
+        "delta": (1 / 1100, 1 / 700),
+    }
+    lands = 2.2e-9 * rng.uniform(0.85, 1.2) * np.exp(rng.uniform(-0.12, 0.12, 4))
+    fixed = {"area": 1.18e-3, "chamber_length": 0.2, "radius": 0.085, "P_r": 2.5e5}
+    edges = dict(zip(("c_p1", "c_n1", "c_p2", "c_n2"), lands.tolist(), strict=True))
+    return fixed | edges | {n: float(rng.uniform(*s)) for n, s in spans.items()}
+
+
+def nominal_rig(rig: Mapping[str, float], seed: int, error: float) -> dict[str, float]:
+    """What a rig file would say: values off by up to `error`, offsets not known."""
+    rng = np.random.default_rng([seed, 1])
+    off = {n: float(1 + rng.uniform(-error, error)) for n in RANGES}
+    guess = {n: float(f"{v * off.get(n, 1.0):.4g}") for n, v in rig.items()}
+    return guess | {"delta_1": 0.015, "delta_2": 0.015, "k_0": 0.0}
+
+
+def lanes_of(spec: CaseSpec) -> tuple[list[Lane], dict]:
+    """The case's three lanes, and the truth that goes to truth.json."""
+    rig = draw_rig(spec.seed)
+    nominal = nominal_rig(rig, spec.seed, spec.error)
+    effects = {n: ALL[n].scaled(size) for n, size in spec.effects.items()}
+    held = {}
+    for name in spec.effects:
+        for parameter, value in ALL[name].known.items():
+            held[parameter] = rig[parameter] if value is None else value
+    rig |= held
+    # The controller is tuned to a rig some 10 % off, whatever the rig file says.
+    tuned = nominal_rig(rig, spec.seed, 0.1)
+    lanes = []
+    for style in STYLES:
+        moved = spec.shifted and style == "validate"
+        lanes.append(
+            Lane(
+                rig,
+                tuned,
+                effects,
+                spec.seed,
+                style,
+                spec.noise,
+                mass=2.0 * MASS if moved else MASS,
+                supply=11e6 if moved else 14e6,
+            )
+        )
+    truth = {
+        "case": spec.name,
+        "kind": spec.kind,
+        "sizes": dict(spec.effects),
+        "noise": spec.noise,
+        "shifted": spec.shifted,
+        "rig": {n: v for n, v in rig.items() if n in RANGES},
+        "effects": effects,
+        "held": held,
+        "start": nominal,
+    }
+    return lanes, truth
+
+
+def rig_file(name: str, truth: Mapping, extra: str = "") -> str:
+    """The rig file of a case, TOML; `extra` is appended (declared effects)."""
+    nominal = truth["start"]
+    lines = [
+        f'name = "{name}"\nlayout = "pull-pull"\n\n[geometry]',
+        f'area = "{nominal["area"]} m^2"',
+        f'chamber_length = "{nominal["chamber_length"]} m"',
+        f'radius = "{nominal["radius"]} m"',
+        f'\n[supply]\nP_s = "1.4e+07 Pa"\nP_r = "{nominal["P_r"]:g} Pa"',
+        "\n[sensors]",
+        *(f'{c} = "{NOISE[c]:g} {"N" if c == "F" else "Pa"}"' for c in NOISE),
+        "\n[parameters]",
+    ]
+    for parameter, (unit, *ends) in RANGES.items():
+        if parameter in truth["held"]:
+            lines.append(f'{parameter} = "{truth["held"][parameter]!r} {unit}"')
+            continue
+        start, *span = (f"{v:g} {unit}" for v in (nominal[parameter], *ends))
+        bounds = json.dumps(span)
+        lines.append(f'{parameter} = {{ start = "{start}", range = {bounds} }}')
+    return "\n".join(lines) + "\n" + extra
+
+
+def write_log(path: Path, log: Log) -> None:
+    """The log as CSV, in the units of COLUMNS."""
+    header = ",".join(f"{name} [{unit}]" for name, (unit, *_) in COLUMNS.items())
+    table = np.column_stack([log[n] / size for n, (_, size, _) in COLUMNS.items()])
+    formats = [form for *_, form in COLUMNS.values()]
+    np.savetxt(path, table, formats, ",", header=header, comments="")
+
+
+def write_cases(
+    specs: Sequence[CaseSpec],
+    folder: Path,
+    declare: Callable[[Sequence[str]], str] | None = None,
+    seconds: float = 12.0,
+    tell: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, str]:
+    """Record cases side by side, a folder each: rig files, logs and truth.json.
+
+    Args:
+        specs: the cases.
+        folder: where their folders go.
+        declare: the TOML that declares effects, by name, with ranges; without it no
+            oracle.toml is written. Effects outside the vocabulary have none anyway.
+        seconds: length of each log.
+        tell: hears of ticks done and in all.
+
+    Returns:
+        Reasons by name of the cases that could not be recorded.
+    """
+    made = [lanes_of(spec) for spec in specs]
+    logs = record([lane for lanes, _ in made for lane in lanes], seconds, tell=tell)
+    bad = {}
+    for i, (spec, (_, truth)) in enumerate(zip(specs, made, strict=True)):
+        own = logs[3 * i : 3 * i + 3]
+        if not all(np.isfinite(y).all() for log in own for y in log.values()):
+            bad[spec.name] = "the rig ran away while it was recorded"
+            continue
+        place = folder / spec.name
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "rig.toml").write_text(rig_file(spec.name, truth))
+        if declare and spec.effects and all(n in NAMED for n in spec.effects):
+            text = rig_file(spec.name, truth, declare(list(spec.effects)))
+            (place / "oracle.toml").write_text(text)
+        for file, log in zip(LOGS, own, strict=True):
+            write_log(place / file, log)
+        # Last: a folder with its truth is a whole one.
+        (place / "truth.json").write_text(json.dumps(truth, indent=2) + "\n")
+    return bad

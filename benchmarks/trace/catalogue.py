@@ -1,0 +1,98 @@
+"""What the benchmark's plant can hide, and how large each effect is at size 1.
+
+Size 1 is a size that matters: it raises the declared model's validation error to some
+two or three times a channel's noise on the logs of this benchmark. Sizes scale
+`strengths` up and `inverse` down (a slower spool is a larger effect).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+Values = dict[str, float]
+Effects = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One effect of the plant.
+
+    Attributes:
+        at_1: its parameters at size 1, SI (commands in V).
+        strengths: parameters that grow with size.
+        inverse: parameters that fall with size.
+        known: parameters of the rig that are known, and held at the value given (None:
+            at the truth), because no log could tell the effect from them.
+    """
+
+    at_1: Values
+    strengths: tuple[str, ...] = ()
+    inverse: tuple[str, ...] = ()
+    known: Mapping[str, float | None] = field(default_factory=dict)
+
+    def scaled(self, size: float) -> Values:
+        """Parameters at a size; at 0 the effect is absent."""
+        out = dict(self.at_1)
+        for name in self.strengths:
+            out[name] *= size
+        for name in self.inverse:
+            out[name] /= size
+        return out
+
+
+def _one(known: Mapping[str, float | None] | None = None, **values: float) -> Kind:
+    return Kind(values, (next(iter(values)),), known=known or {})
+
+
+NAMED: dict[str, Kind] = {
+    "valve_bias": _one(u_0=0.005),
+    "valve_deadband": Kind({"u_dbp": 0.012, "u_dbn": 0.009}, ("u_dbp", "u_dbn")),
+    "valve_hysteresis": _one(u_h=0.01),
+    "valve_delay": _one(tau_u=0.3e-3),
+    "valve_lag": Kind({"omega": 4000.0, "zeta": 0.7}, (), ("omega",)),
+    "internal_leakage": _one(c_il=3e-14),
+    "external_leakage": _one(c_el=1e-14),
+    "supply_line_drop": _one(k_s=1.5e14),
+    "entrained_air": _one(alpha=0.02, n=1.2),
+    "viscous_friction": _one({"k_vp": 0.0, "k_vn": 0.0}, b=1200.0),
+    "stribeck": _one(k_st=40.0, v_s=4e-3),
+    "bristle_damping": _one(sigma_1=1.2e4),
+    "pressure_friction": _one(a=0.25),
+    "position_friction": _one(a=0.02, wavelength=0.02),
+    "friction_drift": _one(a=0.03, tau=6.0),
+    "payload_inertia": _one(m=8.0),
+    "gravity_load": _one(w=50.0, psi_0=0.8),
+    "loadcell_lag": _one(tau_F=0.4e-3),
+    "loadcell_gain": _one(eps=0.03),
+    "pressure_sensor_lag": _one(tau_P=0.8e-3),
+    "valve_rate_limit": Kind({"r_v": 300.0}, (), ("r_v",)),
+    "orifice_transition": _one(dP_t=6e5),
+    "underlap": _one(u_ul=0.02),
+    "dead_volume": _one({"delta_1": None, "delta_2": None}, V_0=3e-5),
+    "frictional_lag": _one(tau_h=0.08),
+    "rod_compliance": Kind({"k": 4e7}, (), ("k",)),
+    "backlash": _one(b=3e-6),
+    "pressure_sensor_bias": Kind({"b_1": 1e5, "b_2": -6e4}, ("b_1", "b_2")),
+    "channel_skew": _one(tau=0.4e-3),
+}
+"""Effects of the product's vocabulary."""
+
+OUTSIDE: dict[str, Kind] = {
+    "spool_flow_force": _one(k_q=3e-9),
+    "valve_dither": _one(volts=0.3, hertz=87.0),
+    "return_surge": _one(k_r=1.5e14),
+    "end_cushion": _one(k=3e4, x_from=7e-3),
+    "dwell_friction": _one(a=0.12, tau=1.5, v_d=1.5e-3),
+    "side_load": _one(a=0.05, hertz=0.37),
+    "loadcell_crosstalk": _one(force=8.0),
+    "mains_hum": Kind({"force": 6.0, "pressure": 2.5e4}, ("force", "pressure")),
+    "warming_valve": _one(a=0.03, tau=8.0),
+    "eccentric_joint": _one(e=4e-6, wavelength=7e-3),
+    "tap_resonance": Kind({"omega": 500.0, "zeta": 0.12}, (), ("omega",)),
+}
+"""Effects that no vocabulary here names."""
+
+ALL = NAMED | OUTSIDE
+
+SIZES = (0.3, 1.0, 3.0)
