@@ -69,6 +69,11 @@ At = Annotated[
     ),
 ]
 
+Profile = Annotated[
+    bool,
+    typer.Option("--profile", help="Intervals by profile likelihood too: many refits."),
+]
+
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
@@ -120,6 +125,7 @@ def identify(
     out: Out = Path("hydrojax-identify"),
     horizon: Horizon = 0.25,
     starts: Annotated[int, typer.Option(help="Fits from so many starts.", min=1)] = 4,
+    profile: Profile = False,
     effects: Effects = None,
 ) -> None:
     """Fit the declared model to logs; say how well it does and can be believed."""
@@ -130,7 +136,7 @@ def identify(
 
     with _progress() as tell:
         case = run.open_case(rig, logs, validate or (), horizon)
-        outcome = run.identify(case, starts, tell)
+        outcome = run.identify(case, starts, tell, profile)
     _finish(outcome, out)
 
 
@@ -152,10 +158,11 @@ def trace(
     level: Annotated[
         float, typer.Option(help="Family-wise significance.", min=1e-12, max=0.5)
     ] = 0.01,
+    profile: Profile = False,
     effects: Effects = None,
 ) -> None:
     """Close the loop: fit, residual, the effect behind it, refit, before and after."""
-    _trace(rig, logs, validate, out, horizon, starts, matters, level, effects)
+    _trace(rig, logs, validate, out, horizon, starts, matters, level, profile, effects)
 
 
 @app.command()
@@ -459,6 +466,80 @@ def sweep(
     console.print(f"sweep.nc and pictures in {out}")
 
 
+@app.command()
+def tune(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Rig file, or the folder of a trace or identify.", show_default=False
+        ),
+    ],
+    rig: Annotated[
+        Path | None,
+        typer.Option(help="Rig file of a folder that holds none."),
+    ] = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What is tuned: k_p, k_f, k_1, tau_d …: all words that follow.",
+            show_default="k_p k_f k_1",
+        ),
+    ] = None,
+    at: At = None,
+    adaptation: Annotated[
+        bool, typer.Option("--adaptation", help="Tune its rates and bounds after.")
+    ] = False,
+    ensemble: Annotated[
+        int, typer.Option(help="Plants to tune for, the rig among them.", min=1)
+    ] = 8,
+    spread: Annotated[
+        float, typer.Option(help="Relative half-width of the ensemble.", min=0.0)
+    ] = 0.2,
+    peak: Annotated[float, typer.Option(help="Largest resonance, dB.", min=0.1)] = 3.0,
+    margin: Annotated[
+        float, typer.Option(help="Largest sensitivity at the command, dB.", min=1.0)
+    ] = 6.0,
+    noise: Annotated[
+        float,
+        typer.Option(help="Command by noise, RMS, share of its range.", min=1e-6),
+    ] = 0.01,
+    tracking: Annotated[
+        float,
+        typer.Option(help="Tracking error, joint moving, relative to before.", min=0.1),
+    ] = 3.0,
+    starts: Annotated[int, typer.Option(help="Descents.", min=1)] = 3,
+    effects: Effects = None,
+    out: Out = Path("hydrojax-tune"),
+) -> None:
+    """Find the gains that give the widest bandwidth, and say what limits it."""
+    _check_out(out)
+    set_up_jax(user_cache())
+    _load_effects(effects)
+    from .tune import goal, outcome, report, tuning
+
+    limits = goal.Limits(
+        peak=peak, sensitivity=margin, noise=noise, tracking=tracking
+    )
+    with _progress() as tell:
+        tuned, path = tuning.tune(
+            source, rig, free or outcome.FREE, at or (), adaptation, ensemble, spread,
+            limits, starts, tell,
+        )  # fmt: skip
+        tell("draw")
+        report.write(tuned, path, out)
+    console.print(report.sentence(tuned))
+    table = Table("gain", "before", "after", "unit")
+    for name, value in tuned.gains.items():
+        table.add_row(
+            name, f"{tuned.start[name]:.4g}", f"{value:.4g}", tuned.units[name]
+        )
+    console.print(table)
+    console.print(report.limit(tuned))
+    for line in tuned.notes:
+        console.print(f"- {line}")
+    console.print(f"tune.json, rig.toml and report.html in {out}")
+
+
 def _load_effects(files: list[Path] | None) -> None:
     from .effects import load_effects
 
@@ -475,6 +556,7 @@ def _trace(
     starts: int = 1,
     matters: float = 0.02,
     level: float = 0.01,
+    profile: bool = False,
     effects: list[Path] | None = None,
 ) -> None:
     _check_out(out)
@@ -484,7 +566,7 @@ def _trace(
 
     with _progress() as tell:
         case = run.open_case(rig, logs, validate, horizon)
-        outcome = run.trace_case(case, starts, matters, level, tell)
+        outcome = run.trace_case(case, starts, matters, level, tell, profile)
     _finish(outcome, out)
 
 
@@ -541,7 +623,7 @@ def options(
     """What holds for every command."""
 
 
-SEVERAL = ("--validate", "--gains", "--separate", "--over", "--by", "--at")
+SEVERAL = ("--validate", "--gains", "--separate", "--over", "--by", "--at", "--free")
 """Options that take all words that follow."""
 
 

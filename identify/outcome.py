@@ -11,7 +11,9 @@ import numpy as np
 class Parameter:
     """One parameter as found; SI. `std` and `interval` are None where there is none.
 
-    `free` is False for what the rig file holds or leaves at its default.
+    `free` is False for what the rig file holds or leaves at its default. `profile` is
+    the 95 % interval by profile likelihood where it was asked for; an end is None where
+    the range ends first.
     """
 
     value: float
@@ -23,6 +25,7 @@ class Parameter:
     interval: tuple[float, float] | None = None
     at_bound: bool = False
     identified: bool = True
+    profile: tuple[float | None, float | None] | None = None
 
 
 @dataclass(frozen=True)

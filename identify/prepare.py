@@ -251,7 +251,8 @@ def _segment(
     v, a = place(t, 1), place(t, 2)
     if np.isfinite(band):
         calm = smooth(t, x, band)
-        a = calm(t, 2)
+        # Speed is less rough than acceleration: it is followed an octave further.
+        a, v = calm(t, 2), smooth(t, x, 2 * band)(t, 1)
         if "u" not in get:
             # Displacement stays as it is, for the bristle.
             place, v = interpolate.make_interp_spline(t, x, k=1), calm(t, 1)

@@ -60,6 +60,7 @@ def _parameter(p: Parameter) -> dict[str, Any]:
         "identified": p.identified,
         "held": not p.free,
         "says": p.says,
+        **({"profile": p.profile} if p.profile else {}),
     }
 
 

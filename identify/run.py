@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import jax
 import numpy as np
@@ -25,9 +26,11 @@ from .fit import Point, fit_force, fit_jointly, fit_pressures
 from .outcome import LoopCheck, Outcome
 from .prepare import Data, prepare, runs_backward
 from .problem import COULOMB, Free, Problem, free_effect, free_parameters
+from .profile import profiles
 from .starts import best_start
 from .summary import summarise
 from .trace import Tracing, trace
+from .uncertainty import believe
 
 Tell = Callable[[str], None]
 
@@ -190,11 +193,21 @@ def fit_case(case: Case, starts: int = 4, tell: Tell = lambda _: None) -> Tracin
     return Tracing(problem, check, {}, free, point, 0.02, 0.01, tell)
 
 
-def identify(case: Case, starts: int = 4, tell: Tell = lambda _: None) -> Outcome:
-    """Fit the declared model, and say how well it does and can be believed."""
+def identify(
+    case: Case,
+    starts: int = 4,
+    tell: Tell = lambda _: None,
+    profile: bool = False,
+) -> Outcome:
+    """Fit the declared model, and say how well it does and can be believed.
+
+    With `profile`, intervals by profile likelihood too: many refits.
+    """
     began, compiled = time.perf_counter(), _Compiling()
     state = fit_case(case, starts, tell)
-    return _outcome("identify", case, state, state.point, began, compiled, tell)
+    return _outcome(
+        "identify", case, state, state.point, began, compiled, tell, profile
+    )
 
 
 def trace_case(
@@ -203,6 +216,7 @@ def trace_case(
     matters: float = 0.02,
     level: float = 0.01,
     tell: Tell = lambda _: None,
+    profile: bool = False,
 ) -> Outcome:
     """The whole loop: fit, residual, the effect behind it, refit, before and after."""
     began = time.perf_counter()
@@ -223,7 +237,7 @@ def trace_case(
         early, check, effects, free, replace(point, values=values), matters, level, tell
     )
     state = trace(start)
-    return _outcome("trace", case, state, point, began, compiled, tell)
+    return _outcome("trace", case, state, point, began, compiled, tell, profile)
 
 
 class _Compiling:
@@ -234,19 +248,25 @@ class _Compiling:
 
     EVENT = "/jax/core/compile/backend_compile_duration"
 
-    def __init__(self):
-        self.spans: list[tuple[float, float]] = []
-        jax.monitoring.register_event_duration_secs_listener(self._heard)
+    SPANS: ClassVar[list[tuple[float, float]]] = []
+    HEARS: ClassVar[list[bool]] = []
 
-    def _heard(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
-        if event == self.EVENT:
+    def __init__(self):
+        self.first = len(self.SPANS)
+        if not self.HEARS:  # a listener cannot be taken back: one serves all
+            jax.monitoring.register_event_duration_secs_listener(self._heard)
+            self.HEARS.append(True)
+
+    @classmethod
+    def _heard(cls, event: str, duration_secs: float, **kwargs: str | int) -> None:
+        if event == cls.EVENT:
             now = time.perf_counter()
-            self.spans.append((now - duration_secs, now))
+            cls.SPANS.append((now - duration_secs, now))
 
     @property
     def seconds(self) -> float:
         total, until = 0.0, -np.inf
-        for start, end in sorted(self.spans):
+        for start, end in sorted(self.SPANS[self.first :]):
             total += max(0.0, end - max(start, until))
             until = max(until, end)
         return total
@@ -290,10 +310,14 @@ def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
     return (done,) if done else ()
 
 
-def _outcome(command, case, state, base, began, compiled, tell) -> Outcome:
+def _outcome(command, case, state, base, began, compiled, tell, profile) -> Outcome:
     tell("errors, intervals and what is left")
     state, said = _settled(state)
-    outcome = summarise(command, case, state, base)
+    belief = believe(state.problem, state.point, state.free)
+    if profile:
+        found = profiles(state.problem, state.point, state.free, belief, tell)
+        belief = replace(belief, profiles=found)
+    outcome = summarise(command, case, state, base, belief)
     outcome = replace(outcome, limits=(*said, *outcome.limits))
     tell("the closed loop again")
     outcome = replace(

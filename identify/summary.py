@@ -26,7 +26,7 @@ from .outcome import (
 from .prepare import Data
 from .score import family
 from .trace import AT_NOISE, Tracing, status
-from .uncertainty import Belief, believe
+from .uncertainty import Belief
 
 if TYPE_CHECKING:
     from .run import Case
@@ -34,8 +34,12 @@ if TYPE_CHECKING:
 UNITS = ("Pa", "Pa", "N")
 
 
-def summarise(command: str, case: Case, state: Tracing, base: Point) -> Outcome:
-    """All that was found, from the state a run ended in and its base fit."""
+def summarise(
+    command: str, case: Case, state: Tracing, base: Point, belief: Belief
+) -> Outcome:
+    """All that was found, from the state a run ended in, its base fit, and how far it
+    is to be believed.
+    """
     seen = [c for c in range(3) if np.isfinite(state.noise[c])]
     declared = state.check.initial_values() if command == "identify" else base.values
     before = state.check.residuals_at(declared)
@@ -49,7 +53,6 @@ def summarise(command: str, case: Case, state: Tracing, base: Point) -> Outcome:
         )
         for c in seen
     }
-    belief = believe(state.problem, state.point, state.free)
     signals = _signals(case.check, before.shape[1], case.spec.geometry.get("radius"))
     tick = float(np.median(case.check.windows.h))
     left = tuple(
@@ -120,19 +123,24 @@ def _one(
     unit = _shown(spec, case.spec.command_unit)
     shown = name.rsplit(".", 1)[-1]
     if spec.outside:
-        shown, unit = spec.outside[0], with_command(
-            spec.outside[1], case.spec.command_unit
+        shown, unit = (
+            spec.outside[0],
+            with_command(spec.outside[1], case.spec.command_unit),
         )
         if std is not None and interval is not None and value > 0:
             ends = [1 / max(e, 1e-12) for e in interval]
             std, interval = std / value**2, (min(ends), max(ends))
         value = 1 / value if value else float("inf")
         start = 1 / start if start else float("inf")
+    profile = belief.profiles.get(name)
+    if profile and spec.outside:
+        profile = (1 / profile[1] if profile[1] else None,
+                   1 / profile[0] if profile[0] else None)  # fmt: skip
     if interval and known and not spec.outside:
         interval = (max(interval[0], known.lower), min(interval[1], known.upper))
     return shown, Parameter(
         value, unit, spec.says, start, free, std, interval, at_bound,
-        free and not at_bound and name not in belief.vague,
+        free and not at_bound and name not in belief.vague, profile,
     )  # fmt: skip
 
 

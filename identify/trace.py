@@ -257,18 +257,52 @@ def _refit(
     state: Tracing, effect: Effect, s: Score, noise: np.ndarray
 ) -> tuple[Problem, Point]:
     """Fit again with the effect free, from half the step that its score foresees."""
-    problem, values = state.problem, state.point.values.copy()
-    names = list(problem.model.names)
+    problem = state.problem
+    values = _stepped(problem, state.point.values, effect, s)
+    free = (*state.free, *free_names(effect))
+    if not np.isfinite(noise[2]):
+        problem, values = fit_pressures(problem, values, free)
+        return problem, replace(state.point, values=values)
+    fits = [fit_jointly(problem, values, free, state.point.weights)]
+    again = _brought_back(problem, state.point.values, state.free)
+    if again is not None and effect.place not in ("sensor_P", "sensor_F"):
+        # What the score foresees from there is another step, often of another sign.
+        there = replace(state, point=replace(state.point, values=again))
+        other = _scores(there, {effect.name: effect}, noise)[effect.name]
+        values = _stepped(problem, again, effect, other)
+        fits.append(fit_jointly(problem, values, free, state.point.weights))
+    return min(fits, key=lambda f: _cost(f[0].errors_at(f[1].values), noise))
+
+
+def _stepped(
+    problem: Problem, values: np.ndarray, effect: Effect, s: Score
+) -> np.ndarray:
+    """The values with half the step of an effect's score, at the shape scored."""
+    values, names = values.copy(), list(problem.model.names)
     for n, step in zip(strengths(effect), s.step, strict=True):
         i, f = names.index(n), problem.free[n]
         values[i] = np.clip(0.5 * step * problem.model.scale[i], f.lower, f.upper)
     for n, value in s.shape.items():
         values[names.index(n)] = value
-    free = (*state.free, *free_names(effect))
-    if np.isfinite(noise[2]):
-        return fit_jointly(problem, values, free, state.point.weights)
-    problem, values = fit_pressures(problem, values, free)
-    return problem, replace(state.point, values=values)
+    return values
+
+
+def _brought_back(
+    problem: Problem, values: np.ndarray, free: tuple[str, ...]
+) -> np.ndarray | None:
+    """The values with those at an end of their range back at their start, or None.
+
+    A model that lacks an effect drives its own parameters as far as they go to stand
+    in for it, and from there a fit may not find back.
+    """
+    back = values.copy()
+    for name in problem.side(free, False):
+        i, f = problem.model.names.index(name), problem.free[name]
+        slack = 1e-6 * (f.upper - f.lower)
+        inside = f.lower + slack < f.start < f.upper - slack
+        if inside and not f.lower + slack < values[i] < f.upper - slack:
+            back[i] = f.start
+    return back if np.any(back != values) else None
 
 
 def judge(
@@ -278,7 +312,7 @@ def judge(
 
     It must lower some channel's error beyond chance (paired by window) by `matters`
     of its noise, and either bring that channel to its noise or take a fair share of
-    what stood above it.
+    what stood above it; the latter in the force only where the pressures are explained.
     """
     seen = np.isfinite(noise)
     sigma = noise[seen]
@@ -288,7 +322,13 @@ def judge(
     if not helps.any():
         return "too small" if sure.any() else "does not help"
     share = (b**2 - a**2) / np.maximum(b**2 - sigma**2, 1e-300)
-    if not np.any(helps & ((a <= AT_NOISE * sigma) | (share > SHARE))):
+    fair = (a <= AT_NOISE * sigma) | (share > SHARE)
+    upstream = seen & PRESSURES
+    if np.any((state.check.rms(after) > AT_NOISE * noise) & upstream):
+        # What the pressures lack runs on into the force: there only an effect that
+        # explains all of it counts, or one that the pressures want themselves.
+        fair &= (a <= AT_NOISE * sigma) | PRESSURES[seen]
+    if not np.any(helps & fair):
         return "explains too little"
     return "helps"
 
@@ -334,6 +374,8 @@ def status(state: Tracing, name: str) -> str:
     """`added`, `rejected`, `absent` or `cannot tell`."""
     if any(a.name == name for a in state.added):
         return "added"
+    if any(name in a.cannot_tell_from for a in state.added):
+        return "cannot tell"
     s = state.scores.get(name)
     if s is None:
         return "cannot tell"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from .fit import Point
 from .problem import Problem
+
+Interval = tuple[float | None, float | None]
 
 VAGUE = 0.5
 """A parameter is not identified when its standard deviation exceeds this share of its
@@ -27,7 +29,8 @@ class Belief:
 
     `std` by name, None at an end of the range; `vague` names those not identified;
     `limits` says in sentences what is at a range's end, and which combination of the
-    vague ones the logs do tell. `covariance` [n, n] is of the parameters `inside`, SI.
+    vague ones the logs do tell. `covariance` [n, n] is of the parameters `inside`, SI;
+    `profiles` the 95 % intervals by profile likelihood, where they were asked for.
     """
 
     std: dict[str, float | None]
@@ -36,6 +39,7 @@ class Belief:
     limits: tuple[str, ...]
     inside: tuple[str, ...]
     covariance: np.ndarray
+    profiles: Mapping[str, Interval] = field(default_factory=dict)
 
 
 def believe(problem: Problem, point: Point, free: Sequence[str]) -> Belief:
@@ -82,6 +86,16 @@ def believe(problem: Problem, point: Point, free: Sequence[str]) -> Belief:
         tuple(inside),
         covariance * np.outer(scale, scale),
     )
+
+
+def curvature(
+    problem: Problem, point: Point, free: Sequence[str]
+) -> tuple[np.ndarray, list[str]]:
+    """Curvature [k, k] of the fit in units of the scales, priors counted, and names."""
+    names = problem.model.names
+    gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
+    columns = np.array([names.index(n) for n in free], dtype=int)
+    return _covariance(problem, gram, list(free), columns)[1], list(free)
 
 
 def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]:

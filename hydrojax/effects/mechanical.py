@@ -26,7 +26,7 @@ class Stribeck(LevelEffect):
 
     name = "stribeck"
     betrayed_by = "v"
-    k_st: Array = param("N", 0.0, -1e4, 1e4, "rise", strength=True, size=50.0)
+    k_st: Array = param("N", 0.0, 0.0, 1e4, "rise", strength=True, size=50.0)
     v_s: Array = param(
         "m/s", 5e-3, 3e-4, 0.1, "Stribeck speed", grid=(1.5e-3, 5e-3, 1.5e-2)
     )

@@ -1,0 +1,200 @@
+"""The closed loop measured in simulation: by multisine and by white noise.
+
+Both begin at the operating point with the law as it runs, adaptation and sensor noise
+included, or with the adaptation frozen. Friction, saturation and what the small-signal
+view leaves out make what is found depend on the amplitude.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..excitation import band_noise
+from ..loop import step
+from ..quantities import Setting
+from . import merits, point
+
+KEEP = ("true_F", "u", "true_P_a1", "true_P_a2")
+
+UNITS = {
+    "within_1dB": "Hz", "minus_3dB": "Hz", "lag_90": "Hz", "peak": "dB",
+    "rms_error": "N", "saturation": "1", "violations": "1",
+}  # fmt: skip
+"""What a measurement gives."""
+
+SAYS = {
+    **{name: merits.SAYS[name] for name in ("within_1dB", "minus_3dB", "lag_90")},
+    "peak": "largest |F/F_d| among the lines",
+    "rms_error": "RMS of F_d - F",
+    "saturation": "share of the samples in which the command saturates",
+    "violations": "share of the samples in which a pressure leaves (P_r, P_s)",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """A desired force of RMS 1, and how its answer is read.
+
+    Attributes:
+        name: `multisine` or `noise`.
+        shape: [n], the force, without dimension.
+        noise: [n, 4], standard normal numbers for the sensors.
+        skip: samples that are not counted.
+        hertz: [lines], where the response is told.
+        weights: [lines, m], complex: what the samples after `skip` are multiplied
+            with (multisine), or None: Welch's segments, averaged around `hertz`.
+        segment: samples in a segment of Welch's.
+    """
+
+    name: str
+    shape: np.ndarray
+    noise: np.ndarray
+    skip: int
+    hertz: np.ndarray
+    weights: np.ndarray | None = None
+    segment: int = 0
+
+
+def _lines(period: float, top: float, count: int) -> np.ndarray:
+    """Whole numbers of periods, near to evenly spaced on a log scale."""
+    wanted = np.geomspace(1.0, top * period, count)
+    return np.unique(np.round(wanted).astype(int))
+
+
+def multisine(
+    rate: float, top: float = 100.0, period: float = 2.0, lines: int = 48, seed: int = 0
+) -> Excitation:
+    """Sines of whole periods and equal size, phases at random; two periods long.
+
+    Args:
+        rate: of the samples, Hz.
+        top: the highest frequency, Hz; no more than 0.45 of the rate.
+        period: s; the first is not counted.
+        lines: about how many sines.
+        seed: of phases and sensor noise.
+    """
+    n = round(period * rate)
+    whole = _lines(period, min(top, 0.45 * rate), lines)
+    rng = np.random.default_rng([seed, 11])
+    angle = 2 * np.pi * np.outer(np.arange(2 * n), whole) / n
+    shape = np.cos(angle + rng.uniform(0, 2 * np.pi, whole.size)).sum(1)
+    shape /= np.sqrt(whole.size / 2)
+    weights = np.exp(-1j * angle[:n]).T / n
+    noise = rng.normal(size=(2 * n, 4))
+    return Excitation("multisine", shape, noise, n, whole / period, weights)
+
+
+def white_noise(
+    rate: float, band: float = 50.0, seconds: float = 12.0, lines: int = 32,
+    seed: int = 0,
+) -> Excitation:  # fmt: skip
+    """White noise up to `band`, as the paper has it; Welch's segments of 1 s.
+
+    Args:
+        rate: of the samples, Hz.
+        band: where a Butterworth filter of fourth order cuts it, Hz.
+        seconds: length; the first is not counted.
+        lines: about how many frequencies; each is the mean of those around it.
+        seed: of the noises.
+    """
+    rng = np.random.default_rng([seed, 12])
+    n, segment = round(seconds * rate), round(rate)
+    hertz = _lines(1.0, min(band, 0.45 * rate), lines) * rate / segment
+    shape = band_noise(rng, n, 1 / rate, 1.0, band)
+    noise = rng.normal(size=(n, 4))
+    return Excitation("noise", shape, noise, segment, hertz, None, segment)
+
+
+def simulate(
+    setting: Setting, given: Excitation, frozen: bool = False, settle: int = 0
+) -> tuple[Array, Array]:
+    """Run the loop from its operating point.
+
+    Returns:
+        F_d [n], N, and the signals `KEEP` [n, 4], SI.
+    """
+    carry = point.start(setting, settle=settle)
+    loop = point.frozen(setting.loop) if frozen else setting.loop
+    n = given.shape.size
+    t = jnp.arange(n) * loop.h
+    F_d = setting.F_0 + setting.amplitude / jnp.sqrt(2.0) * jnp.asarray(given.shape)
+
+    def body(carry, i):
+        one = point.course(setting, F_d[i][None], noise[i][None], t[i][None])
+        carry, now = step(loop, carry, point.at(one, 0))
+        return carry, jnp.stack([now[name] for name in KEEP])
+
+    noise = jnp.asarray(given.noise)
+    return F_d, jax.lax.scan(body, carry, jnp.arange(n))[1]
+
+
+def segments(x: Array, size: int) -> Array:
+    """Half-overlapping segments without their mean under a Hann window, spectra."""
+    count = (x.shape[0] - size) // (size // 2) + 1
+    at = np.arange(count)[:, None] * (size // 2) + np.arange(size)
+    window = np.hanning(size + 1)[:-1]
+    cut = x[at]
+    return jnp.fft.rfft(window * (cut - jnp.mean(cut, axis=1, keepdims=True)))
+
+
+def response(given: Excitation, F_d: Array, F: Array) -> tuple[Array, Array]:
+    """F/F_d at the excitation's frequencies, complex, and its coherence, [lines]."""
+    asked, came = F_d[given.skip :], F[given.skip :]
+    if given.weights is not None:
+        W = jnp.asarray(given.weights)
+        return (W @ came) / (W @ asked), jnp.ones(given.hertz.size)
+    X, Y = segments(asked, given.segment), segments(came, given.segment)
+    cross = jnp.sum(jnp.conj(X) * Y, axis=0)
+    own, other = jnp.sum(jnp.abs(X) ** 2, axis=0), jnp.sum(jnp.abs(Y) ** 2, axis=0)
+    pool = jnp.asarray(_pool(given, cross.shape[0]))
+    cross, own, other = pool @ cross, pool @ own, pool @ other
+    return cross / own, jnp.abs(cross) ** 2 / (own * other)
+
+
+def _pool(given: Excitation, count: int) -> np.ndarray:
+    """Which of Welch's frequencies stand for each that is told, [lines, count]."""
+    step = given.hertz[0]
+    middle = np.round(given.hertz / step).astype(int)
+    edges = np.concatenate([[middle[0] - 0.5], (middle[1:] + middle[:-1]) / 2,
+                            [middle[-1] + 0.5]])  # fmt: skip
+    k = np.arange(count)
+    inside = (k >= edges[:-1, None]) & (k < edges[1:, None])
+    return inside / inside.sum(1, keepdims=True)
+
+
+def measure(
+    setting: Setting, given: Excitation, frozen: bool = False, settle: int = 0
+) -> dict[str, Any]:
+    """All of `UNITS`, and `response` [lines], complex, with its `coherence`.
+
+    NaN where the run diverged.
+    """
+    F_d, table = simulate(setting, given, frozen, settle)
+    late = table[given.skip :]
+    F, u, P_1, P_2 = late.T
+    H, coherence = response(given, F_d, table[:, 0])
+    hertz = jnp.asarray(given.hertz)
+    loop = setting.loop
+    shut = [loop.rig.force_area_1 > 0, loop.rig.force_area_2 > 0]
+    left = [
+        s & ~((P > setting.P_r) & (P < setting.P_s))
+        for s, P in zip(shut, (P_1, P_2), strict=True)
+    ]
+    found = {
+        "within_1dB": merits.within(hertz, H),
+        "minus_3dB": merits.first(hertz, merits.dB(H) + 3.0),
+        "lag_90": merits.first(hertz, merits.unwrapped(H) + jnp.pi / 2),
+        "peak": jnp.max(merits.dB(H)),
+        "rms_error": jnp.sqrt(jnp.mean((F_d[given.skip :] - F) ** 2)),
+        "saturation": jnp.mean(jnp.abs(u) >= 0.999 * loop.law.u_max),
+        "violations": jnp.mean(left[0] | left[1]),
+    }
+    sound = jnp.all(jnp.isfinite(F))
+    found = {n: jnp.where(sound, v, jnp.nan) for n, v in found.items()}
+    return found | {"response": H, "coherence": coherence}

@@ -1,0 +1,130 @@
+"""Where a loop is looked at: its operating point, with the adaptation stopped there.
+
+At rest the point is the desired force on the output, the valve shut. Where the piston
+is moved at a constant speed, or a load has to settle, it is where a slow loop stands
+after `SETTLE` seconds that end at `x`: the place goes on changing from there, so the
+point holds for motions that are short beside the chambers. The slow loop has gains of
+its own, so that the point is the same for all gains, those of an unstable loop too.
+
+The estimates that are adapted stand at the plant's own values, or at the bound next to
+them (`adapted`), or where the law starts them, midway between their bounds.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..control import Nine, mean_area, within
+from ..load import Driven, Road
+from ..loop import Course, Loop, begin, step
+from ..quantities import Setting
+from ..simulation import PARTS
+
+SETTLE = 0.8
+"""Seconds in which a point that has to be found is settled: five time constants of
+the reference load, eight of L(t)'s filter."""
+
+SLOW = 60.0
+"""Bandwidth (rad/s) of the loop that settles."""
+
+
+def estimates(loop: Loop, adapted: bool = True) -> Nine:
+    """Where the nine estimates stand, SI."""
+    law, plant = loop.law, loop.rig
+    truth = Nine(
+        1 / plant.chambers.beta,
+        mean_area(plant),
+        *(getattr(plant.mechanics, name) for name in Nine._fields[2:]),
+    )
+
+    def one(true, lower, upper, rate):
+        middle = (lower + upper) / 2
+        return jnp.where(rate > 0, within(true, lower, upper), middle) if adapted else (
+            middle
+        )  # fmt: skip
+
+    return jax.tree.map(one, truth, law.lower, law.upper, law.rate)
+
+
+def frozen(loop: Loop) -> Loop:
+    """The loop with its adaptation stopped."""
+    zero = jax.tree.map(jnp.zeros_like, loop.law.rate)
+    return eqx.tree_at(lambda lo: lo.law.rate, loop, zero)
+
+
+def course(setting: Setting, F_d: Array, noise: Array, t: Array) -> Course:
+    """A course at the setting's speed and supply that is at `x` at t = 0.
+
+    Args:
+        setting: the loop and its point.
+        F_d: desired force, [n], N.
+        noise: [n, 4], standard normal numbers.
+        t: [n], s; a constant supply and speed, so any times will do.
+    """
+    h = setting.loop.h
+    halves = t[:, None, None] + h / PARTS * (
+        jnp.arange(PARTS)[:, None] + jnp.array([0.0, 0.5, 1.0])
+    )
+    n = t.shape[0]
+    v = jnp.broadcast_to(setting.v, (n, PARTS))
+    road = Road(setting.x + setting.v * halves, v, jnp.zeros_like(v))
+    P_s, P_r = (
+        jnp.broadcast_to(p, (n, 2)) for p in (setting.P_s, setting.P_r)
+    )
+    return Course(t, F_d, noise, P_s, P_r, road)
+
+
+def at(given: Course, k: int | Array) -> Course:
+    """One row of a course."""
+    return jax.tree.map(lambda a: a[k], given)
+
+
+def still(setting: Setting) -> bool:
+    """Whether the point needs no settling, for a setting or a stack of them."""
+    rest = bool(jnp.all(setting.v == 0))
+    return rest and (
+        isinstance(setting.loop.load, Driven) or bool(jnp.all(setting.F_0 == 0))
+    )
+
+
+def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
+    """What the loop remembers at its operating point.
+
+    Args:
+        setting: the loop and its point.
+        adapted: whether the adapted estimates stand at the plant's values.
+        settle: samples in which a slow loop settles; 0 at rest, see `still`.
+    """
+    loop = setting.loop
+    n = max(settle, 1)
+    t = (jnp.arange(n) - settle) * loop.h
+    given = course(setting, jnp.broadcast_to(setting.F_0, (n,)), jnp.zeros((n, 4)), t)
+    law = loop.law
+    slow = SLOW / loop.rig.chambers.beta / 2
+    loop = eqx.tree_at(
+        lambda lo: (lo.law.k_p, lo.law.k_f), frozen(loop), (slow, slow)
+    )
+    carry = begin(loop, given)
+    believed = estimates(setting.loop, adapted)
+    P_d = law.desired(believed, carry.law.z, carry.law.v, carry.law.speed, given.F_d[0])
+    memory = carry.law._replace(estimates=believed, P_d=P_d[0])
+    # The environment may be moving from the first sample on.
+    memory = memory._replace(v=setting.v, speed=jnp.abs(setting.v))
+    plant = carry.plant._replace(
+        speed=carry.plant.speed + jnp.abs(setting.v)
+    )
+    carry = carry._replace(
+        law=memory, plant=plant, motion=carry.motion._replace(v=setting.v)
+    )
+    if not settle:
+        return carry
+
+    def body(c, tick):
+        return step(loop, c, tick)[0], None
+
+    return jax.lax.scan(body, carry, given)[0]

@@ -1,0 +1,205 @@
+"""A tuning on disk: tune.json, the rig file, pictures, and one self-contained page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import tomlkit
+from matplotlib.figure import Figure
+
+from .outcome import Tuned, least, most
+
+_BEFORE, _AFTER = "#b2382e", "#1f4e9c"
+
+ROWS = (
+    ("Within 1 dB", "within_1dB", "Hz", 1.0, min),
+    ("Down by 3 dB", "minus_3dB", "Hz", 1.0, min),
+    ("Lag of 90°", "lag_90", "Hz", 1.0, min),
+    ("Peak", "peak", "dB", 1.0, max),
+    ("Gain margin", "gain_margin", "dB", 1.0, min),
+    ("Phase margin", "phase_margin", "°", 1.0, min),
+    ("Delay margin", "delay_margin", "ms", 1e3, min),
+    ("Tracking, RMS", "rms", "N", 1.0, max),
+    ("Force by sensor noise, RMS", "noise_F", "N", 1.0, max),
+    ("Command by sensor noise, RMS", "noise_u", "V", 1.0, max),
+)
+
+
+def show(value: Any, unit: str) -> str:
+    """A number with its unit; a dash for none."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    return f"{value:.3g} {unit}".replace("-", "−")
+
+
+def table(t: Tuned) -> list[tuple[str, ...]]:
+    """Before and after, the rig's and the worst plant's."""
+    out = []
+    for title, name, unit, factor, worst in ROWS:
+        cells = []
+        for found in (t.before, t.after):
+            values = np.asarray(found[name]) * factor
+            cells.append(show(values[0], unit))
+            cells.append(show(worst(values) if np.all(np.isfinite(values)) else None, unit))
+        out.append((title, *cells))
+    return out
+
+
+def sentence(t: Tuned) -> str:
+    """The gist in one line."""
+    was, now = (least(f["within_1dB"]) for f in (t.before, t.after))
+    if not now:
+        return "No gains were found at which every plant of the ensemble is stable."
+    peaks = [most(f["peak"]) for f in (t.before, t.after)]
+    said = f"Within 1 dB up to {now:.1f} Hz for every plant"
+    if was:
+        said += f", {now / was:.2f} times the {was:.1f} Hz before"
+    said += f"; peak at most {peaks[1]:.1f} dB"
+    if peaks[0] is not None:
+        said += f", {peaks[0]:.1f} before"
+    broken = [n for n, s in t.found.slack.items() if s < -0.02]
+    return said + (f". Not kept: {', '.join(broken)}." if broken else ".")
+
+
+def limit(t: Tuned) -> str:
+    """What holds the loop back most, in words."""
+    gains = [r for r in t.relaxed if r.gain > 0.03]
+    if not gains:
+        return "Nothing that was tried by itself would widen it by more than 3 %."
+    top = gains[0]
+    return (
+        f"Most of all: {top.what.partition(':')[0]}. Without it the worst plant would "
+        f"reach {top.band:.1f} Hz, {100 * top.gain:+.0f} %."
+    )
+
+
+def bode_figure(t: Tuned) -> Figure:
+    """Gain and phase before and after, with the ensemble's range."""
+    fig = Figure(figsize=(8.0, 6.2), layout="constrained")
+    top, bottom = fig.subplots(2, 1, sharex=True)
+    for found, colour, label in ((t.before, _BEFORE, "before"), (t.after, _AFTER, "after")):
+        stable = np.asarray(found["radius"]) < 1
+        H = np.asarray(found["response"])
+        dB = 20 * np.log10(np.maximum(np.abs(H), 1e-9))
+        angle = np.rad2deg(np.unwrap(np.angle(H), axis=-1))
+        for ax, y in ((top, dB), (bottom, angle)):
+            if stable.sum() > 1:
+                y_s = y[stable]
+                ax.fill_between(t.hertz, y_s.min(0), y_s.max(0), color=colour, alpha=0.18,
+                                lw=0)  # fmt: skip
+            ax.plot(t.hertz, y[0], color=colour, label=label)
+        if stable[0]:
+            top.axvline(float(found["within_1dB"][0]), color=colour, lw=0.8, ls="--")
+    top.axhspan(-1, 1, color="0.9", zorder=0)
+    top.set_ylim(-15, 15)
+    bottom.set_ylim(-270, 30)
+    top.set_ylabel("|F/F_d| (dB)")
+    bottom.set_ylabel("phase (deg)")
+    bottom.set_xlabel("frequency (Hz)")
+    for ax in (top, bottom):
+        ax.set_xscale("log")
+        ax.set_xlim(0.5, 200)
+        ax.grid(alpha=0.3)
+    top.legend()
+    top.set_title(f"{t.rig}: linearised, adaptation frozen", fontsize=10)
+    return fig
+
+
+def limits_figure(t: Tuned) -> Figure:
+    """What each limit costs, as bars."""
+    fig = Figure(figsize=(8.0, 0.42 * len(t.relaxed) + 1.3), layout="constrained")
+    ax = fig.subplots()
+    names = [r.what for r in t.relaxed][::-1]
+    ax.barh(names, [r.band for r in t.relaxed][::-1], color=_AFTER, alpha=0.75)
+    now = least(t.after["within_1dB"])
+    ax.axvline(now, color="black", lw=1.2, label=f"now {now:.1f} Hz")
+    was = least(t.before["within_1dB"])
+    ax.axvline(was, color=_BEFORE, lw=1.2, ls="--", label=f"before {was:.1f} Hz")
+    ax.set_xlabel("within 1 dB up to, worst plant (Hz)")
+    ax.legend(loc="lower right", fontsize=8)
+    ax.grid(alpha=0.3, axis="x")
+    return fig
+
+
+def pictures(t: Tuned) -> dict[str, tuple[Figure, str, str]]:
+    """Figures with their alternative text and caption, by the name of their file."""
+    out = {
+        "tune_bode": (
+            bode_figure(t), "Bode plot before and after",
+            "Output force over desired force. Lines: the rig itself; shades: the "
+            "ensemble's stable plants; dashed: where it leaves 1 dB.",
+        )
+    }  # fmt: skip
+    if t.relaxed:
+        out["tune_limits"] = (
+            limits_figure(t), "Bandwidth with each limit taken away",
+            "The loop tuned again without one of its limits at a time.",
+        )  # fmt: skip
+    return out
+
+
+def write(t: Tuned, rig: Path, out: Path) -> None:
+    """Write tune.json, rig.toml, the pictures and report.html.
+
+    Args:
+        t: what was found.
+        rig: the file whose copy gets the gains; its comments stay.
+        out: the folder.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    shown = []
+    with tempfile.TemporaryDirectory(dir=out) as folder:
+        draft = Path(folder)
+        for name, (figure, alt, caption) in pictures(t).items():
+            store = io.BytesIO()
+            figure.savefig(store, format="png", dpi=110)
+            (draft / f"{name}.png").write_bytes(store.getvalue())
+            data = base64.b64encode(store.getvalue()).decode("ascii")
+            shown.append(
+                {"data": f"data:image/png;base64,{data}", "alt": alt, "caption": caption}
+            )
+        text = json.dumps(t.json(), indent=1, allow_nan=False)
+        (draft / "tune.json").write_text(text + "\n")
+        (draft / "rig.toml").write_text(with_gains(rig, t.gains, t.units))
+        page = jinja2.Environment(autoescape=True).from_string(
+            (Path(__file__).parent / "report.html").read_text(encoding="utf-8")
+        )
+        (draft / "report.html").write_text(
+            page.render(
+                t=t, rows=table(t), pictures=shown, sentence=sentence(t),
+                limit=limit(t), show=show,
+            ),
+            encoding="utf-8",
+        )  # fmt: skip
+        for path in draft.iterdir():
+            os.replace(path, out / path.name) if path.is_file() else shutil.move(path, out)
+
+
+def with_gains(
+    rig: Path, gains: Mapping[str, float], units: Mapping[str, str]
+) -> str:
+    """A rig file's text with other gains, all else, comments too, as it was."""
+    text = tomlkit.parse(rig.read_text(encoding="utf-8-sig"))
+    controller = text.setdefault("controller", tomlkit.table())
+    for name, value in gains.items():
+        unit = "" if units[name] == "1" else f" {units[name]}"
+        written = f"{value:.6g}{unit}"
+        key, _, end = name.rpartition("_")
+        if end in ("lower", "upper"):
+            both = controller.get(key, [written, written])
+            both = list(both) if isinstance(both, list) else [both, both]
+            both[end == "upper"] = written
+            controller[key] = both
+        else:
+            controller[name] = written
+    return tomlkit.dumps(text)

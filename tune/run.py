@@ -1,0 +1,117 @@
+"""A sweep and a tuning from files and words: what the command line calls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import xarray as xr
+
+from ..build import load_rig
+from ..errors import InputError
+from ..quantities import Quantity, Setting, find, open_setting, quantities
+from ..rigfile import RigSpec
+from . import axes, sweep
+from .axes import Plants
+
+
+def open_rig(
+    path: Path,
+    gains: Mapping[str, object] | None = None,
+    at: Sequence[str] = (),
+    over: Sequence[str] = (),
+) -> tuple[RigSpec, Setting, dict[str, Quantity]]:
+    """A rig file as a loop at an operating point, and what can be named in it.
+
+    Args:
+        path: the rig file.
+        gains: keys of [controller] that replace the file's.
+        at: `name=value` words that set other quantities, the operating point above
+            all.
+        over: axes in words: the effects they name are put in.
+
+    Raises:
+        InputError: the file, a name or a value that will not do.
+    """
+    spec = load_rig(path)
+    named = [word.partition("=")[0].strip() for word in (*at, *over)]
+    setting = open_setting(spec, gains, named)
+    known = quantities(spec, setting)
+    for word in at:
+        name, sign, text = word.partition("=")
+        where = f"--at {word!r}"
+        if not sign or not text.strip():
+            raise InputError(f"{where}: write NAME=VALUE, such as v=0.01")
+        quantity = find(known, name.strip(), where)
+        setting = quantity.put(setting, quantity.number(text.strip(), where))
+    return spec, setting, known
+
+
+def make_plants(
+    setting: Setting, count: int, spread: float, folder: Path | None
+) -> Plants | None:
+    """An ensemble as asked for; None for the rig alone."""
+    if count < 2:
+        return None
+    if folder is not None:
+        return axes.from_report(setting, folder, count)
+    return axes.ensemble(setting, count, spread)
+
+
+def sweep_rig(
+    rig: Path,
+    over: Sequence[str],
+    by: Sequence[str] = ("linear",),
+    gains: Mapping[str, object] | None = None,
+    at: Sequence[str] = (),
+    count: int = 0,
+    spread: float = axes.SPREAD,
+    report: Path | None = None,
+    frozen: bool = False,
+    out: Path | None = None,
+    tell: sweep.Tell | None = None,
+) -> xr.Dataset:
+    """Sweep a rig file; see the command line's help for the words.
+
+    Raises:
+        InputError: words that will not do, or a folder that holds another sweep.
+    """
+    for way in by:
+        if way not in sweep.METHODS:
+            raise InputError(f"--by {way!r}: write one of {', '.join(sweep.METHODS)}")
+    spec, setting, known = open_rig(rig, gains, at, over)
+    plan = sweep.Plan(
+        setting,
+        axes.read_axes(over, known),
+        known,
+        tuple(m for m in sweep.METHODS if m in by),
+        make_plants(setting, count, spread, report),
+        frozen,
+        spec.name,
+        spec.command_unit,
+    )
+    return sweep.run(sweep.prepare(plan), out, tell)
+
+
+def sentences(data: xr.Dataset) -> list[str]:
+    """The gist of a sweep in words, one line for each way."""
+    from .maps import axes_of, methods_of, nominal
+
+    said = []
+    flat = nominal(data)
+    for way in methods_of(data):
+        band = flat[f"{way}_within_1dB"]
+        if not bool(band.notnull().any()):
+            said.append(f"{way}: no cell is stable")
+            continue
+        at = band.argmax(dim=axes_of(data))
+        best = flat.isel(at)
+        where = ", ".join(f"{n} = {float(best[n]):.4g}" for n in axes_of(data))
+        said.append(
+            f"{way}: widest within 1 dB {float(band.max()):.1f} Hz at {where}, peak "
+            f"{float(best[f'{way}_peak']):.1f} dB"
+        )
+    return said
+
+
+Progress = Callable[[str], None]

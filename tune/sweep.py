@@ -1,0 +1,293 @@
+"""A sweep: one program over all cells, in chunks that are kept as they are done."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from ..errors import InputError
+from ..quantities import Quantity, Setting
+from . import linear, measure, merits, point
+from .axes import Axis, Plants, cells
+from .dataset import dataset, save_dataset
+from .program import program
+
+METHODS = ("linear", "multisine", "noise")
+MEMORY = 256e6
+"""Bytes that a chunk's signals may take."""
+
+Tell = Callable[[int, int], None]
+"""Hears how many cells are done, of how many."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a sweep does.
+
+    Attributes:
+        setting: the rig at its operating point; the axes change it.
+        axes: 1 to 4.
+        known: every quantity by name.
+        methods: of `METHODS`.
+        plants: an ensemble, if there is one.
+        frozen: whether adaptation stands still when it is measured too.
+        rig: its name.
+        unit: of the command.
+        chunk: cells in a chunk; 0 is by memory.
+        excitations: of the methods that measure; made when None.
+    """
+
+    setting: Setting
+    axes: list[Axis]
+    known: Mapping[str, Quantity]
+    methods: tuple[str, ...] = ("linear",)
+    plants: Plants | None = None
+    frozen: bool = False
+    rig: str = ""
+    unit: str = "V"
+    chunk: int = 0
+    excitations: dict[str, measure.Excitation] = field(default_factory=dict)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Plants first, if there are any, then the axes."""
+        lead = (len(self.plants.values),) if self.plants else ()
+        return (*lead, *(a.values.size for a in self.axes))
+
+    def table(self) -> np.ndarray:
+        """Values of the axes and of the plants' parameters in every cell."""
+        grid = cells(self.axes)
+        if self.plants is None:
+            return grid
+        own = np.repeat(self.plants.values, len(grid), axis=0)
+        return np.hstack([np.tile(grid, (len(self.plants.values), 1)), own])
+
+    def at(self, row: Any) -> Setting:
+        """The setting of one cell. The axes come last: they overrule a plant."""
+        s, n = self.setting, len(self.axes)
+        if self.plants is not None:
+            for i, name in enumerate(self.plants.names):
+                s = Quantity(name, "", "", parameter=name).put(s, row[n + i])
+        for i, axis in enumerate(self.axes):
+            s = axis.quantity.put(s, row[i])
+        return s
+
+    def key(self) -> str:
+        """What the sweep depends on, in a few letters."""
+        seen = hashlib.sha256()
+        for leaf in jax.tree.leaves((self.setting, self.table())):
+            seen.update(np.asarray(leaf).tobytes())
+        for e in self.excitations.values():
+            seen.update(e.shape.tobytes() + e.noise.tobytes())
+        words = (str(jax.tree.structure(self.setting)), self.frozen, self.shape)
+        words += tuple(a.name for a in self.axes)
+        seen.update(repr(words).encode())
+        return seen.hexdigest()[:16]
+
+
+def prepare(plan: Plan) -> Plan:
+    """The plan with its excitations and nothing left that cannot be done.
+
+    Raises:
+        InputError: measuring at a rate that is swept, or at no amplitude.
+    """
+    measured = [m for m in plan.methods if m != "linear"]
+    if measured and any(a.name == "rate" for a in plan.axes):
+        raise InputError(
+            "--over rate: what is measured has its own sampling; add --by linear"
+        )
+    rate = float(1 / plan.setting.loop.h)
+    make = {"multisine": measure.multisine, "noise": measure.white_noise}
+    made = {m: plan.excitations.get(m) or make[m](rate) for m in measured}
+    return Plan(**{**plan.__dict__, "excitations": made})
+
+
+class _Work:
+    """The compiled programs of a plan."""
+
+    def __init__(self, plan: Plan):
+        self.plan = plan
+        rows = plan.table()
+        self.rows = rows
+        some = jax.vmap(plan.at)(jnp.asarray(_corners(rows)))
+        quiet = point.still(some)
+        rate = float(jnp.max(1 / some.loop.h))
+        self.settle = 0 if quiet else round(point.SETTLE * rate)
+        self.hertz = merits.grid(float(jnp.min(1 / some.loop.h)))
+        if "linear" in plan.methods:
+            self.linear = self._linear(some)
+
+    def _linear(self, some: Setting) -> Callable[..., Any]:
+        full = program(
+            jax.vmap(lambda s: linear.system(s, point.start(s, settle=self.settle)))
+        )
+        states = linear.find_states(full(some))
+        hertz = jnp.asarray(self.hertz)
+
+        def one(row):
+            s = self.plan.at(row)
+            system = linear.system(s, point.start(s, settle=self.settle), states)
+            H = linear.response(system, hertz)
+            found = merits.merits(hertz, H, linear.radius(system))
+            return found | {"response": H[:, 0, 0]}
+
+        return program(jax.vmap(one))
+
+    def _measured(self, method: str) -> Callable[..., Any]:
+        given = self.plan.excitations[method]
+
+        def one(row):
+            s = self.plan.at(row)
+            return measure.measure(s, given, self.plan.frozen, self.settle)
+
+        return jax.jit(jax.vmap(one))
+
+    def run(self, method: str, save: Callable[[int, dict], None], done: set[int],
+            tell: Callable[[int], None]) -> None:  # fmt: skip
+        """Every chunk of a method that is not done yet."""
+        size = chunk_size(self.plan, method)
+        todo = [i for i in range(-(-len(self.rows) // size)) if i not in done]
+        if not todo:
+            return
+        work = self.linear if method == "linear" else self._measured(method)
+
+        def one(i: int) -> None:
+            rows = self.rows[i * size : (i + 1) * size]
+            full = np.concatenate([rows, np.repeat(rows[-1:], size - len(rows), 0)])
+            out = jax.tree.map(np.asarray, work(jnp.asarray(full)))
+            save(i, {n: v[: len(rows)] for n, v in out.items()})
+            tell(len(rows))
+
+        # LAPACK in two runs at once can lock up XLA's pool of threads; it is fast
+        # enough alone. Simulations share the cores.
+        if method == "linear":
+            for i in todo:
+                one(i)
+        else:
+            one(todo[0])
+            with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+                list(pool.map(one, todo[1:]))
+
+
+def _corners(rows: np.ndarray, most: int = 24) -> np.ndarray:
+    """Cells that span all: each column's ends, and some in between."""
+    rng = np.random.default_rng(0)
+    ends = np.concatenate([rows.argmin(0), rows.argmax(0)])
+    chosen = np.unique(np.concatenate([[0, len(rows) - 1], ends,
+                                       rng.integers(0, len(rows), 4)]))  # fmt: skip
+    return rows[chosen[:most]]
+
+
+def chunk_size(plan: Plan, method: str) -> int:
+    """Cells in a chunk."""
+    if plan.chunk:
+        return plan.chunk
+    if method == "linear":
+        each = merits.LINES * 10 * 16 * 4.0
+    else:
+        each = plan.excitations[method].shape.size * len(measure.KEEP) * 8 * 3.0
+    most = int(np.prod(plan.shape))
+    return int(min(max(MEMORY // each, 16), 256 if method == "linear" else 128, most))
+
+
+def run(plan: Plan, folder: Path | None = None, tell: Tell | None = None) -> xr.Dataset:
+    """Sweep, or go on with a sweep, or find it done.
+
+    Args:
+        plan: as `prepare` gives it.
+        folder: where chunks are kept and `sweep.nc` is written; None keeps nothing.
+        tell: hears of progress.
+
+    Raises:
+        InputError: the folder holds another sweep.
+    """
+    key = plan.key()
+    if folder is not None:
+        _claim(folder, key)
+        whole = folder / "sweep.nc"
+        if whole.exists():
+            kept = xr.load_dataset(whole, engine="h5netcdf")
+            if set(kept.attrs["methods"].split()) >= set(plan.methods):
+                return kept
+    count = len(plan.table())
+    total, gone = count * len(plan.methods), 0
+    work: _Work | None = None
+    found: dict[str, dict[str, np.ndarray]] = {}
+
+    def tell_more(n: int) -> None:
+        nonlocal gone
+        gone += n
+        if tell:
+            tell(gone, total)
+
+    for method in plan.methods:
+        parts: dict[int, dict[str, np.ndarray]] = {}
+        size = chunk_size(plan, method)
+        for i in range(-(-count // size)):
+            kept = _read(folder, method, i, size)
+            if kept is not None:
+                parts[i] = kept
+                tell_more(len(next(iter(kept.values()))))
+        if len(parts) * size < count:
+            work = work or _Work(plan)
+
+            def save(i, out, parts=parts, method=method, size=size):
+                parts[i] = out
+                _write(folder, method, i, size, out)
+
+            work.run(method, save, set(parts), tell_more)
+        found[method] = {
+            name: np.concatenate([parts[i][name] for i in sorted(parts)])
+            for name in parts[0]
+        }
+    data = dataset(plan, found)
+    if folder is not None:
+        save_dataset(data, folder / "sweep.nc")
+    return data
+
+
+def _claim(folder: Path, key: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    mark = folder / "plan.json"
+    if mark.exists():
+        if json.loads(mark.read_text())["key"] != key:
+            raise InputError(
+                f"{folder}: holds another sweep; name another folder with --out, or "
+                "remove it"
+            )
+        return
+    mark.write_text(json.dumps({"key": key}) + "\n")
+
+
+def _part(folder: Path, method: str, i: int, size: int) -> Path:
+    return folder / "parts" / f"{method}-{size}-{i:05d}.npz"
+
+
+def _read(folder: Path | None, method: str, i: int, size: int) -> dict | None:
+    if folder is None or not _part(folder, method, i, size).exists():
+        return None
+    with np.load(_part(folder, method, i, size)) as file:
+        return dict(file)
+
+
+def _write(folder: Path | None, method: str, i: int, size: int, out: dict) -> None:
+    """A chunk, whole or not at all."""
+    if folder is None:
+        return
+    path = _part(folder, method, i, size)
+    path.parent.mkdir(exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".draft", delete=False) as f:
+        np.savez(f, **out)
+    os.replace(f.name, path)

@@ -1,0 +1,213 @@
+"""Tuning from files and words: what the command line calls."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..build import load_rig, make_effects, make_rig
+from ..errors import InputError
+from ..named import parameter_specs, put
+from ..quantities import Quantity, Setting, find, open_setting, quantities
+from ..rigfile import RigSpec
+from . import axes, optimise, outcome
+from .axes import Plants
+from .goal import Goal, Limits
+from .run import make_plants
+
+PLANTS = 8
+"""Plants of an ensemble where nothing else is said."""
+
+
+def tune(
+    source: Path,
+    rig: Path | None = None,
+    free: Sequence[str] = outcome.FREE,
+    at: Sequence[str] = (),
+    adaptation: bool = False,
+    count: int = PLANTS,
+    spread: float = axes.SPREAD,
+    limits: Limits | None = None,
+    starts: int = 3,
+    tell: Callable[[str], None] = lambda _: None,
+) -> tuple[outcome.Tuned, Path]:
+    """Tune a rig file, or what `trace` or `identify` found of one.
+
+    Args:
+        source: a rig file, or a folder with `report.json`.
+        rig: the rig file of such a folder that holds no `rig.toml`.
+        free: gains to tune.
+        at: `name=value` words: the operating point.
+        adaptation: whether rates and bounds of the adaptation are tuned after them.
+        count: of the ensemble's plants.
+        spread: of the ensemble around a rig file; a folder's is its own.
+        limits: what must be kept.
+        starts: descents.
+        tell: hears what is being done.
+
+    Returns:
+        What was found, and the rig file that it is about.
+
+    Raises:
+        InputError: files, names or values that will not do.
+    """
+    tell("read the rig")
+    folder = source if source.is_dir() else None
+    path = _rig_file(source, rig)
+    spec = load_rig(path)
+    report = _report(folder) if folder else {}
+    named = _effects(report)
+    setting = open_setting(spec, None, (*named, *(w.partition("=")[0] for w in at)))
+    setting = _as_found(setting, report)
+    known = quantities(spec, setting)
+    for word in at:
+        name, _, text = word.partition("=")
+        quantity = find(known, name.strip(), f"--at {word!r}")
+        value = quantity.number(text.strip(), f"--at {word!r}")
+        setting = quantity.put(setting, value)
+    chosen = [find(known, name, "--free") for name in free]
+    plants = make_plants(setting, count, spread, folder if _fitted(report) else None)
+    plants = plants or axes.ensemble(setting, 1)
+    limits = limits or Limits()
+    tell("compile the loop")
+    goal = Goal(setting, chosen, outcome.widen(setting, plants), limits)
+    found = optimise.tune(goal, starts, tell=tell)
+    gains = dict(zip(free, map(float, found.gains), strict=True))
+    start = {q.name: float(q.get(setting)) for q in chosen}
+    units = {q.name: q.unit for q in chosen}
+    after = goal.look(found.gains)
+    relaxed = outcome.what_limits(goal, found, tell)
+    more = _adaptable(known, setting) if adaptation else []
+    if more:
+        values = outcome.adapt(goal, more, found.gains, tell)
+        inner = outcome.copy_with(goal, goal.at(found.gains), more)
+        after["rms"] = inner.run(values)
+        gains |= {q.name: float(v) for q, v in zip(more, values, strict=True)}
+        start |= {q.name: float(q.get(setting)) for q in more}
+        units |= {q.name: q.unit for q in more}
+    promises = ()
+    if named:
+        tell("what the old model promised")
+        promises = _promises(spec, named, goal, found, start, chosen, plants, after)
+    tuned = outcome.Tuned(
+        spec.name, gains, units, start, goal.before, after, np.asarray(goal.hertz),
+        found, relaxed, plants.says, limits, promises, _notes(goal, after),
+    )  # fmt: skip
+    return tuned, path
+
+
+def _rig_file(source: Path, rig: Path | None) -> Path:
+    if not source.is_dir():
+        return source
+    if rig is not None:
+        return rig
+    if (source / "rig.toml").exists():
+        return source / "rig.toml"
+    raise InputError(
+        f"{source}: no rig.toml in it; name the rig file that was traced with --rig"
+    )
+
+
+def _report(folder: Path) -> dict[str, Any]:
+    path = folder / "report.json"
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+        if {"parameters", "effects"} <= set(report):
+            return report
+    except (OSError, ValueError) as err:
+        raise InputError(
+            f"{path}: no report of identify or trace; name the folder --out gave"
+        ) from err
+    raise InputError(f"{path}: is no report of hydrojax; name another folder")
+
+
+def _effects(report: dict[str, Any]) -> list[str]:
+    """Names of the effects that were added."""
+    return [effect["name"] for effect in report.get("effects", [])]
+
+
+def _fitted(report: dict[str, Any]) -> bool:
+    return any(p.get("std") for p in report.get("parameters", {}).values())
+
+
+def _as_found(setting: Setting, report: dict[str, Any]) -> Setting:
+    """The setting with the plant that the report found; the law as it was."""
+    if not report:
+        return setting
+    known = parameter_specs(setting.loop.rig)
+    found = dict(report["parameters"])
+    for effect in report["effects"]:
+        own = effect["parameters"].items()
+        found |= {f"{effect['name']}.{n}": p for n, p in own}
+    names = [n for n, p in found.items() if n in known and p.get("value") is not None]
+    if not names:
+        return setting
+    rig = put(setting.loop.rig, names, [found[n]["value"] for n in names])
+    return eqx.tree_at(lambda s: s.loop.rig, setting, rig)
+
+
+def _adaptable(known: dict[str, Quantity], setting: Setting) -> list[Quantity]:
+    """What of the adaptation is at work and above 0."""
+    chosen = [known[n] for n in outcome.ADAPTATION]
+    return [q for q in chosen if float(q.get(setting)) > 0]
+
+
+def _promises(
+    spec: RigSpec, named: list[str], goal: Goal, found: optimise.Found,
+    start: dict[str, float], chosen: list[Quantity], plants: Plants,
+    after: dict[str, np.ndarray],
+) -> tuple[tuple[str, dict[str, float]], ...]:  # fmt: skip
+    """The rig's own merits without and with what trace added."""
+    old_spec = replace(
+        spec, effects={n: e for n, e in spec.effects.items() if n not in named}
+    )
+    effects = make_effects(old_spec.effects, old_spec, (-0.1, 0.1))
+    rig = make_rig(old_spec, effects)
+    here = goal.at(goal.here())
+    values = parameter_specs(rig)
+    from ..named import get
+
+    names = [n for n in values]
+    rig = put(rig, names, get(here.loop.rig, names))
+    old = eqx.tree_at(lambda s: s.loop.rig, here, rig)
+    only = [i for i, n in enumerate(plants.names) if n in values]
+    few = Plants(
+        tuple(plants.names[i] for i in only), plants.values[:1, only], plants.says
+    )
+    other = Goal(old, chosen, few, goal.limits)
+    added = ", ".join(n.replace("_", " ") for n in named)
+    return (
+        (f"old model (without {added}), gains before", outcome.own(other.before)),
+        ("mended model, gains before", outcome.own(goal.before)),
+        ("old model, the new gains", outcome.own(other.look(found.gains))),
+        ("mended model, the new gains", outcome.own(after)),
+    )
+
+
+def _notes(goal: Goal, after: dict[str, np.ndarray]) -> tuple[str, ...]:
+    notes = []
+    if not np.isfinite(goal.before["peak"]).all():
+        notes.append("With the gains before, some plants of the ensemble are unstable.")
+    rms = goal.before["rms"]
+    if np.max(rms) > 5 * rms[0]:
+        notes.append(
+            f"With the gains before, tracking on one plant is {np.max(rms):.0f} N while "
+            f"the rig's own is {rms[0]:.1f} N: with the joint moving its loop is at or "
+            "beyond the edge, which a linearised loop at rest does not show."
+        )
+    if not float(jnp.sum(goal.setting.loop.sensors.F)):
+        notes.append("The rig file gives no noise of F: noise limits nothing here.")
+    wide = np.asarray(after["within_1dB"])
+    if np.max(wide) > 1.8 * np.min(wide):
+        notes.append(
+            f"Within 1 dB up to {wide[0]:.1f} Hz on the rig itself: the worst plant of "
+            "the ensemble sets the promise."
+        )
+    return tuple(notes)
