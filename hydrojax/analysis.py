@@ -17,6 +17,12 @@ ROUNDS, LANES = 4, 12
 """Rounds of the search for the least supply pressure, and runs side by side in each."""
 
 
+def _drive_force(loop: Loop, run: Run) -> np.ndarray:
+    """The true drive force at every sample, [N], N."""
+    P_1, P_2 = (jnp.asarray(run[name]) for name in ("true_P_a1", "true_P_a2"))
+    return np.asarray(loop.rig.drive_force(P_1, P_2))
+
+
 def lyapunov(loop: Loop, run: Run) -> np.ndarray:
     """W of (31) at every sample, [N], N^2/Pa.
 
@@ -29,7 +35,7 @@ def lyapunov(loop: Loop, run: Run) -> np.ndarray:
         mean_area(loop.rig),
         *(getattr(m, n) for n in Nine._fields[2:]),
     )
-    P = np.asarray(loop.rig.drive_force(run["true_P_a1"], run["true_P_a2"]))
+    P = _drive_force(loop, run)
     W = (run["P_d"] - P) ** 2 / float(chambers.beta)
     for name in Nine._fields:
         rate = float(getattr(loop.law.rate, name))
@@ -42,7 +48,7 @@ def lyapunov(loop: Loop, run: Run) -> np.ndarray:
 
 def lyapunov_bound(loop: Loop, run: Run) -> np.ndarray:
     """The bound (35) on the rate of W at every sample, [N], N^2/(Pa s); never > 0."""
-    P = np.asarray(loop.rig.drive_force(run["true_P_a1"], run["true_P_a2"]))
+    P = _drive_force(loop, run)
     return (
         -float(loop.law.k_p) * (run["P_d"] - P) ** 2
         - float(loop.law.k_f) * (run.F_d - run["true_F"]) ** 2
@@ -86,7 +92,7 @@ def supply_condition(loop: Loop, course: Course, out: Run) -> float:
     ours, other = (beta * np.abs(u) * e**2 / psi for e in (into, back))
     # epsilon_1 goes with the supply, 2 with P_a1, 3 with P_a2; (41).
     e_1, e_2, e_3 = ours, np.where(up, ours, other), np.where(up, other, ours)
-    P = np.asarray(loop.rig.drive_force(P_1, P_2))
+    P = _drive_force(loop, out)
     rate = np.gradient(P, np.asarray(course.t))
     lengths = np.stack(loop.rig.chambers.lengths(jnp.asarray(out["true_x"])))
     top = area * np.max(np.abs(rate)) * lengths.max(0) + np.max(np.abs(P)) * np.maximum(

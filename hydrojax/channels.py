@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -200,6 +201,18 @@ class SensorChannel(Effect):
         """One tick of length `h` at whose end the signal is `y`: memory, reading."""
         raise NotImplementedError
 
+    def course(self, y: Array, slope: Array, h: Array) -> tuple[Array, Array]:
+        """Readings of a known course `y` [W, n], from the first tick on.
+
+        `slope` [W] is how it ran before, `h` [W, n-1] the ticks. Returns the readings
+        and how they ran before.
+        """
+        memory, first, slope = self.init(y[:, 0], slope)
+        _, rest = jax.lax.scan(
+            lambda m, tick: self.step(m, *tick), memory, (y[:, 1:].T, h.T)
+        )
+        return jnp.concatenate([first[:, None], rest.T], axis=1), slope
+
 
 class _Lag(SensorChannel):
     """First-order lag of a signal that is linear over each tick, exact."""
@@ -301,10 +314,10 @@ REACH = 16
 class ChannelSkew(SensorChannel):
     """Force that is logged out of step with the other channels (S8): `F(t + tau_s)`.
 
-    `tau_s` > 0: the reading is ahead of its time, taken along the line of the last
-    tick; < 0: it is late, between two earlier readings. The two are one formula up to
-    a tick and exact for a signal that is linear from tick to tick. No plant knows what
-    its command will be: a reading early by a tick or more is only roughly foreseen.
+    `tau_s` > 0: the reading is ahead of its time; < 0: it is late. Between ticks the
+    force runs straight, as it nearly does under a held command. A replay knows what
+    comes, but for a window's last ticks; a plant that steps does not, and takes what is
+    early along the line of the last tick: right up to about a tick.
     """
 
     name = "channel_skew"
@@ -326,3 +339,13 @@ class ChannelSkew(SensorChannel):
         newer = jnp.take_along_axis(memory, whole, axis=-1)[..., 0]
         older = jnp.take_along_axis(memory, whole + 1, axis=-1)[..., 0]
         return memory, newer + (late - whole[..., 0]) * (older - newer)
+
+    def course(self, y, slope, h):
+        t = jnp.pad(jnp.cumsum(h, axis=1), ((0, 0), (1, 0)))
+        return jax.vmap(_along_lines)(y, t, t + self.tau_s), slope
+
+
+def _along_lines(y: Array, t: Array, at: Array) -> Array:
+    """`y` [n] at the times `t`, read `at` others along lines, also beyond its ends."""
+    i = jnp.clip(jnp.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
+    return y[i] + (at - t[i]) * (y[i + 1] - y[i]) / (t[i + 1] - t[i])

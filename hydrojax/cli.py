@@ -205,10 +205,12 @@ def simulate(
     out: Annotated[
         Path, typer.Option(help="The log: CSV(.gz), Parquet or MAT.")
     ] = Path("hydrojax-simulate.csv"),
+    effects: Effects = None,
 ) -> None:
     """Run a rig in closed loop; write the log that it would have given."""
     _check_file(out)
     set_up_jax(user_cache())
+    _load_effects(effects)
     import warnings
 
     import numpy as np
@@ -224,8 +226,8 @@ def simulate(
         loop = make_loop(spec, None, _given(gains or []))
         course = record.read_course(spec, loop, reference, motion, seconds, seed)
         x = course.road.x
-        effects = make_effects(spec.effects, spec, (float(x.min()), float(x.max())))
-        loop = make_loop(spec, make_rig(spec, effects), _given(gains or []))
+        own = make_effects(spec.effects, spec, (float(x.min()), float(x.max())))
+        loop = make_loop(spec, make_rig(spec, own), _given(gains or []))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # said below, in one line
             run = simulation.simulate(loop, course)
@@ -292,10 +294,12 @@ def excite(
     out: Annotated[
         Path, typer.Option(help="The course: CSV(.gz), Parquet or MAT.")
     ] = Path("hydrojax-excite.csv"),
+    effects: Effects = None,
 ) -> None:
     """Find the reference and motion that tell most of what is not identified."""
     _check_file(out)
     set_up_jax(user_cache())
+    _load_effects(effects)
     from . import record, units
     from .build import load_rig
     from .identify.excite import Limits, design
@@ -315,7 +319,7 @@ def excite(
     if min(most) <= 0:
         raise InputError("--force, --speed and --travel must be above 0")
     with _progress() as tell:
-        found = design(spec, Limits(*most, seconds), both, tell=tell)
+        found = design(spec, Limits(*most, seconds=seconds), both, tell=tell)
     record.write_log(out, record.course_columns(found.t, found.F_d, found.x, spec))
     what = "least size shown" if both else "standard deviation"
     table = Table(what, "undesigned", "designed", "times better")
@@ -342,10 +346,12 @@ def bounds(
         float, typer.Option(help="That the box holds.", min=0.5, max=0.999)
     ] = 0.95,
     stretch: Annotated[float, typer.Option(help="Length of a fit, s.", min=0.5)] = 2.0,
+    effects: Effects = None,
 ) -> None:
     """Find the adaptive law's friction bounds from many fits, and refine them."""
     _check_out(out)
     set_up_jax(user_cache())
+    _load_effects(effects)
     import json
 
     from . import roof
@@ -482,7 +488,7 @@ def tune(
         list[str] | None,
         typer.Option(
             help="What is tuned: k_p, k_f, k_1, tau_d …: all words that follow.",
-            show_default="k_p k_f k_1",
+            show_default="k_p k_f k_1, and A_a where a load moves",
         ),
     ] = None,
     at: At = None,
@@ -515,14 +521,14 @@ def tune(
     _check_out(out)
     set_up_jax(user_cache())
     _load_effects(effects)
-    from .tune import goal, outcome, report, tuning
+    from .tune import goal, report, tuning
 
     limits = goal.Limits(
         peak=peak, sensitivity=margin, noise=noise, tracking=tracking
     )
     with _progress() as tell:
         tuned, path = tuning.tune(
-            source, rig, free or outcome.FREE, at or (), adaptation, ensemble, spread,
+            source, rig, free or (), at or (), adaptation, ensemble, spread,
             limits, starts, tell,
         )  # fmt: skip
         tell("draw")

@@ -230,7 +230,8 @@ def _law(keys: Values, nominal: Rig, spec: RigSpec, P_r: float) -> Law:
     bounds = default_bounds(nominal)
     for name in Nine._fields:
         if name in keys:
-            bounds[name] = tuple(end * scale(name) for end in keys[name])
+            lower, upper = keys[name]
+            bounds[name] = (lower * scale(name), upper * scale(name))
     full = 1.0 if spec.command_unit == "1" else 10.0
     return Law(
         nominal=nominal,

@@ -60,5 +60,5 @@ def band_noise(
     white = rng.normal(size=n)
     if band < 0.5 / h:
         filter_ = signal.butter(4, band, fs=1 / h, output="sos")
-        white = signal.sosfilt(filter_, white)
+        white = np.asarray(signal.sosfilt(filter_, white))
     return rms * white / np.std(white)

@@ -11,17 +11,13 @@ from jaxtyping import Array
 
 from .params import param
 
-PAST = (1.41e-3, 6.19e-3, 1.64e-2, 3.75e-2, 8.45e-2, 0.191, 0.3)
-"""Time constants (s) for which the velocity's lag is remembered, where an effect asks
-for it: Chebyshev points of `tau / (tau + 0.03 s)`."""
-
 
 class Sliding(NamedTuple):
     """What friction sees at one instant; SI, every field of one shape.
 
-    `v` is the velocity as friction sees it, `z` the bristle's deflection (m), `z_rate`
-    its rate, `speed` the filtered speed of L(t) (m/s), `t` the time since the log
-    began.
+    `v` is the piston's velocity, `z` the bristle's deflection (m), `z_rate` its rate,
+    `speed` the filtered speed of L(t) (m/s), `t` the time since the log began. `lag` is
+    the speed of an oil film that comes late, less `abs(v)` (m/s).
     """
 
     t: Array
@@ -34,6 +30,7 @@ class Sliding(NamedTuple):
     P_a1: Array
     P_a2: Array
     P_s: Array
+    lag: Array | float = 0.0
 
 
 class Theta(NamedTuple):
@@ -76,12 +73,6 @@ class Friction(eqx.Module):
         keep = jnp.exp(-self.L_rate * h)
         return keep, (1 - keep) * jnp.abs(dx) / h
 
-    def past_map(self, dx: Array, h: Array) -> tuple[Array, Array]:
-        """The step of the velocity's lags `PAST` as `w -> keep w + add`, [7, ...]."""
-        h = jnp.broadcast_to(h, jnp.shape(dx))
-        keep = jnp.stack([jnp.exp(-h / tau) for tau in PAST])
-        return keep, (1 - keep) * dx / h
-
     def z_rate(self, z: Array, v: Array) -> Array:
         """Rate of the bristle's deflection (4), m/s."""
         return v - jnp.abs(v) / self.z_ss * z
@@ -94,14 +85,17 @@ class Friction(eqx.Module):
         """f_c of (3) with phi = -1, N.
 
         `levels` are effects that add to the Coulomb level, `adds` effects that add
-        a friction force.
+        a friction force. Where an oil film comes late, levels see its speed, and
+        forces a velocity whose lag has the bristle's sign: it turns with the friction.
         """
         up = at.z > 0
+        turn = jnp.clip(at.z / self.z_ss, -1.0, 1.0)
+        film = at._replace(v=at.v + jnp.where(at.v < 0, -1.0, 1.0) * at.lag)
         level = jnp.where(up, self.k_cp, self.k_cn)
-        level = level + sum(e.level(at, level) for e in levels)
-        coulomb = level * jnp.clip(at.z / self.z_ss, -1.0, 1.0)
-        fall = jnp.where(at.v > 0, self.k_vp, self.k_vn) * at.v
-        return coulomb + self.k_0 - fall + sum(e.force(at) for e in adds)
+        level = level + sum(e.level(film, level) for e in levels)
+        film = at._replace(v=at.v + turn * at.lag)
+        fall = jnp.where(film.v > 0, self.k_vp, self.k_vn) * film.v
+        return turn * level + self.k_0 - fall + sum(e.force(film) for e in adds)
 
     def regressor(self, z: Array, v: Array, speed: Array, F: Array) -> Theta:
         """The row of (26): what each of theta_f is multiplied with in f_f.

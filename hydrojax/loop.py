@@ -8,6 +8,7 @@ the `valve_delay` effect of the rig, a spool its `valve_lag`.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -40,7 +41,7 @@ class Sensors(eqx.Module):
             y + s * noise[..., i]
             for i, (y, s) in enumerate(zip(truth, sizes, strict=False))
         ]
-        return Measured(*read, quantise(truth.x, self.step))
+        return Measured(*read, x=quantise(truth.x, self.step))
 
 
 def quantise(x: Array, step: Array) -> Array:
@@ -88,7 +89,7 @@ class _Carry(NamedTuple):
     plant: State
     motion: Motion
     law: Memory
-    gauges: tuple[Array, ...]  # what the pressure sensors say, before noise
+    gauges: tuple[Array, Array]  # what the pressure sensors say, before noise
     cell: Array  # what the load cell says, before noise
     F: Array
 
@@ -114,16 +115,18 @@ def begin(loop: Loop, course: Course) -> _Carry:
     P = F + k_f * F / (1 + friction.delta * jnp.abs(F))
     P_a2 = (P + loop.rig.force_area_1 * loop.P_start) / loop.rig.force_area_2
     plant = loop.rig.init(zero, loop.P_start, P_a2, x)
-    P, P_s = plant.P, course.P_s[0, 0]
+    P_s = course.P_s[0, 0]
 
     def force(v: Array, a: Array) -> Array:
-        return loop.rig.output_force(Sliding(zero, x, v, a, zero, v, zero, *P, P_s))
+        at = Sliding(zero, x, v, a, zero, v, zero, *plant.P, P_s)
+        return loop.rig.output_force(at)
 
     road = jax.tree.map(lambda r: r[0, 0], course.road)
     motion = loop.load.begin(road, loop.h / course.road.v.shape[-1], force)
     F = force(motion.v, motion.a)
-    gauges = tuple(
-        loop.rig.sense_init(loop.rig.gauge(i), p, zero)[1] for i, p in enumerate(P)
+    gauges = (
+        loop.rig.sense_init(loop.rig.gauge(0), plant.P[0], zero)[1],
+        loop.rig.sense_init(loop.rig.gauge(1), plant.P[1], zero)[1],
     )
     cell = loop.rig.sense_init(loop.rig.sensor_F, F, zero)[1]
     truth = Measured(*gauges, P_s, cell, x)
@@ -165,6 +168,9 @@ def step(loop: Loop, carry: _Carry, tick: Course) -> tuple[_Carry, dict[str, Arr
     def ends(p: Array, i: int) -> Array:
         return p[0] + jnp.array([i, i + 1]) / parts * (p[1] - p[0])
 
+    def force(plant: State, part: Tick, v: Array, a: Array) -> Array:
+        return rig.output_force(rig.sliding(plant, part._replace(v=v, a=a)))
+
     for i, spool in enumerate(openings):
         road = Road(tick.road.x[i], tick.road.v[i], tick.road.a[i])
         x = loop.load.move(motion, road, h)
@@ -175,16 +181,14 @@ def step(loop: Loop, carry: _Carry, tick: Course) -> tuple[_Carry, dict[str, Arr
             P_r=ends(tick.P_r, i),
             x=x,
             dx=x[2:] - x[:1],
-            v=road.v,
+            v=(x[0] - 4 * x[1] + 3 * x[2]) / h,  # of the piston, at the end
             a=road.a,
             t=tick.t + (i + 1) * h,
         )
         plant = rig.act(plant, sides(spool), part)
 
-        def force(v: Array, a: Array, plant=plant, part=part) -> Array:
-            return rig.output_force(rig.sliding(plant, part._replace(v=v, a=a)))
-
-        motion, F = loop.load.feel(motion, x, road, h, force)
+        feels = partial(force, plant, part)
+        motion, F = loop.load.feel(motion, x, road, h, feels)
         plant, read = rig.read(plant, F, h)
         gauges, cell = (read["P_a1"], read["P_a2"]), read["F"]
     return _Carry(plant, motion, law, gauges, cell, F), now

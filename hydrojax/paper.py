@@ -17,10 +17,10 @@ from . import analysis
 from .build import load_rig, make_effects, make_rig
 from .controller import make_loop
 from .excitation import band_noise, to_and_fro
-from .loop import Loop, run
+from .loop import Course, Loop, run
 from .rig import Rig
 from .rigfile import RigSpec
-from .simulation import hold, make_course, simulate
+from .simulation import Path, hold, make_course, simulate
 
 SECONDS, STEADY = 20.0, 4.0
 """Length of the runs of Figs. 2 to 4, and where their steady part begins, s."""
@@ -138,13 +138,21 @@ def _repeat(tree: Any, count: int) -> Any:
     return jax.tree.map(lambda a: jnp.repeat(a[None], count, axis=0), tree)
 
 
+def _course(
+    spec: RigSpec, F_d: np.ndarray, path: Path, h: float, seed: int | None = None
+) -> Course:
+    """A course under the rig file's supply."""
+    P_s, P_r = spec.supply["P_s"], spec.supply["P_r"]
+    return make_course(F_d, path, h, P_s, P_r, seed=seed)
+
+
 def tracking() -> tuple[dict[str, dict[str, Track]], Track]:
     """Figs. 2 to 4, and the ablation beside Fig. 3 (a)."""
     spec, rig = reference()
     h = 1e-3
     t = np.arange(round(SECONDS / h)) * h
     F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
-    course = make_course(F_d, to_and_fro(SPEED, PERIOD), h, **spec.supply, seed=0)
+    course = _course(spec, F_d, to_and_fro(SPEED, PERIOD), h, seed=0)
     cases = [(f, c, g) for f, own in FIGURES.items() for c, g in own.items()]
     cases.append(("ablation", "", ABLATION))
     loops = _stack([make_loop(spec, rig, gains) for *_, gains in cases])
@@ -170,13 +178,13 @@ def response(seconds: float = 60.0) -> Response:
     h = float(loop.h)
     rng = np.random.default_rng(5)
 
-    def course(F_d, seed):
-        return make_course(F_d, hold(), h, **spec.supply, seed=seed)
+    def course(F_d: np.ndarray, seed: int) -> Course:
+        return _course(spec, F_d, hold(), h, seed)
 
     n = round(seconds / h)
     settled = slice(round(STEADY / h), None)
     F_d = band_noise(rng, n, h, NOISE_RMS, NOISE_BAND)
-    one = jax.tree.map(lambda a: a[None], (loop, course(F_d, 50)))
+    one = _repeat(loop, 1), _repeat(course(F_d, 50), 1)
     F = np.asarray(_runs(*one, ("F",)))[0, :, 0]
     welch: dict[str, Any] = {"fs": 1 / h, "nperseg": round(1 / h)}
     asked, came = F_d[settled], F[settled]
@@ -196,7 +204,7 @@ def response(seconds: float = 60.0) -> Response:
             courses.append(course(wanted[-1], 100 + i))
     loops = _repeat(loop, len(courses))
     F = np.asarray(_runs(loops, _stack(courses), ("F",)))[..., 0]
-    window = signal.windows.hann(t[settled].size)
+    window = signal.get_window("hann", t[settled].size, fftbins=False)
     dB = [
         20 * np.log10(abs((y[settled] * window) @ e / ((x[settled] * window) @ e)))
         for x, y, e in zip(
@@ -247,7 +255,7 @@ def descent(
         h = float(loop.h)
         t = np.arange(round(6.0 / h)) * h
         F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
-        course = make_course(F_d, to_and_fro(SPEED, PERIOD), h, **spec.supply)
+        course = _course(spec, F_d, to_and_fro(SPEED, PERIOD), h)
         done = simulate(loop, course)
         W, bound = analysis.lyapunov(loop, done), analysis.lyapunov_bound(loop, done)
         out[rate] = Descent(t, W, bound)
@@ -261,7 +269,7 @@ def least_supply() -> analysis.Supply:
     h = float(loop.h)
     t = np.arange(round(8.0 / h)) * h
     F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
-    course = make_course(F_d, to_and_fro(SPEED, PERIOD), h, **spec.supply, seed=0)
+    course = _course(spec, F_d, to_and_fro(SPEED, PERIOD), h, seed=0)
     return analysis.supply(loop, course, simulate(loop, course))
 
 

@@ -1,11 +1,12 @@
 """Any quantity of a closed loop by name: read, set and swept, with units.
 
 The controller's names and units are the paper's (`k_p` in V/kN, `rho_a`, `tau_d`), an
-estimate's bounds are `k_cp_lower` and `k_cp_upper`, and `k_cp_hat` sets both; `k_1` and
-`A_a`, which no plant parameter is called, need no `_hat`. A bare `beta` or `k_cp` is the
-plant's: the law goes on believing what it believed. Effects are `valve_lag.omega`, the
-load `load.mass`, the noise `noise.F`. The operating point is `x`, `v`, `F_0`, `P_0`,
-`P_s`, `P_r`, and `amplitude` the size of the force that is asked for about it.
+estimate's bounds are `k_cp_lower` and `k_cp_upper`, and `k_cp_hat` sets both; `k_1`
+and `A_a`, which no plant parameter is called, need no `_hat`. A bare `beta` or `k_cp`
+is the plant's: the law goes on believing what it believed. Effects are
+`valve_lag.omega`, the load `load.mass`, the noise `noise.F`. The operating point is
+`x`, `v`, `F_0`, `P_0`, `P_s`, `P_r`, and `amplitude` the size of the force that is
+asked for about it.
 """
 
 from __future__ import annotations
@@ -96,11 +97,12 @@ class Quantity:
     parameter: str = ""
 
     def get(self, setting: Setting) -> Array:
-        """Its value in `unit`."""
+        """Its value in `unit`: of two bounds, their middle."""
         if self.reach is None:
             stored = get(setting.loop.rig, (self.parameter,))[0]
         else:
-            stored = self.reach(setting)[-1]
+            places = self.reach(setting)
+            stored = sum(places) / len(places)
         return (1 / stored if self.reciprocal else stored) / self.factor
 
     def put(self, setting: Setting, value: Array | float) -> Setting:
@@ -190,7 +192,11 @@ def _point() -> list[Quantity]:
         "F_0": ("N", "desired force about which it swings", "F_0"),
         "P_s": ("Pa", "supply pressure", "P_s"),
         "P_r": ("Pa", "return pressure", "P_r"),
-        "amplitude": ("N", "of a sine with the RMS of the force asked for", "amplitude"),
+        "amplitude": (
+            "N",
+            "of a sine with the RMS of the force asked for",
+            "amplitude",
+        ),
     }
     out = [
         Quantity(name, unit, says, reach=_field(field), positive=name == "amplitude")
@@ -238,11 +244,20 @@ def _controller(spec: RigSpec, setting: Setting) -> list[Quantity]:
     for name, estimate in RATES.items():
         add(name, name, lambda s, e=estimate: [getattr(s.loop.law.rate, e)])
     for name in Nine._fields:
+
         def both(s, name=name):
             return [getattr(s.loop.law.lower, name), getattr(s.loop.law.upper, name)]
 
-        add(f"{name}_lower", name, lambda s, name=name: [getattr(s.loop.law.lower, name)])
-        add(f"{name}_upper", name, lambda s, name=name: [getattr(s.loop.law.upper, name)])
+        add(
+            f"{name}_lower",
+            name,
+            lambda s, name=name: [getattr(s.loop.law.lower, name)],
+        )
+        add(
+            f"{name}_upper",
+            name,
+            lambda s, name=name: [getattr(s.loop.law.upper, name)],
+        )
         add(f"{name}_hat", name, both)
         if name in ("k_1", "A_a"):
             add(name, name, both)
@@ -267,4 +282,3 @@ def _noise(spec: RigSpec, setting: Setting) -> list[Quantity]:
                  reach=lambda s, name=name: [getattr(s.loop.sensors, name)])
         for name, unit in wants.items()
     ]  # fmt: skip
-

@@ -140,7 +140,8 @@ def read_course(
     if high >= x_1 or low <= -x_2:
         raise InputError(
             f"--motion {motion}: x from {1e3 * low:.4g} to {1e3 * high:.4g} mm is "
-            f"beyond the chambers' ends at {-1e3 * x_2:.4g} and {1e3 * x_1:.4g} mm; give less"
+            f"beyond the chambers' ends at {-1e3 * x_2:.4g} and {1e3 * x_1:.4g} mm; "
+            "give less"
         )
     return course
 

@@ -13,28 +13,27 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
-from scipy.signal import savgol_filter
 
+from . import rod
 from .friction import Sliding, run_linear
 from .rig import Rig, Tick
-
-SMOOTH = 15
-"""Ticks over which a logged force is smoothed before it stretches anything: flat to
-some 40 Hz on a log at 1 kHz."""
 
 
 class Motion(NamedTuple):
     """Motion of S segments of N ticks, padded at the end with standstill; SI.
 
     `dx` [S, N-1, 4] displacement over each quarter of a tick; `h` [S, N-1] its length;
-    `speed0` [S] the filtered speed to start from.
+    `speed0` [S] the filtered speed to start from; `v` [S, N] the velocity at the ticks;
+    `F` [S, N] the output force there, smoothed if it was measured, for what it
+    stretches.
     """
 
     dx: Array
     h: Array
     speed0: Array
+    v: Array
+    F: Array
 
 
 class Windows(NamedTuple):
@@ -42,9 +41,10 @@ class Windows(NamedTuple):
 
     The first `lead` ticks let memories settle and are not compared. `before` [W, pre]
     is the command that precedes, `before_h` its tick lengths. `u`, `h`, `P_s`, `P_r`,
-    `t`, `x`, `v`, `a`, `P_a1`, `P_a2` are [W, lead+T], at the ticks; `h` is the tick
-    that follows. `x_fine` is [W, lead+T-1, 2n+1], `measured` [W, T, 3]
-    (P_a1, P_a2, F), `seg` and `first` say where each window lies in its segment.
+    `t`, `x`, `v`, `a`, `F`, `P_a1`, `P_a2` are [W, lead+T], at the ticks; `h` is the
+    tick that follows, `F` that of `Motion`. `x_fine` is [W, lead+T-1, 2n+1], `measured`
+    [W, T, 3] (P_a1, P_a2, F), `seg` and `first` say where each window lies in its
+    segment.
     """
 
     seg: Array
@@ -59,6 +59,7 @@ class Windows(NamedTuple):
     x: Array
     v: Array
     a: Array
+    F: Array
     x_fine: Array
     P_a1: Array
     P_a2: Array
@@ -70,30 +71,49 @@ class Windows(NamedTuple):
         return self.measured.shape[1]
 
 
-def friction_memory(rig: Rig, motion: Motion) -> tuple[Array, Array]:
-    """Bristle deflection (m) and filtered speed (m/s) at every tick, [S, N] each.
+class Past(NamedTuple):
+    """What friction sees of the motion up to every tick, [S, N] each; SI.
 
-    With an effect that asks for them, the speed has the velocity's lags behind it on a
-    last axis.
+    `z` the bristle's deflection, `v` the piston's velocity; `speed` as in `State`.
     """
+
+    z: Array
+    speed: Array
+    v: Array
+
+    def within(self, w: Windows) -> Past:
+        """The same at the windows' ticks, [W, lead+T] each."""
+        index = w.first[:, None] + jnp.arange(w.x.shape[1])
+        return Past(*(a[w.seg[:, None], index] for a in self))
+
+
+def friction_memory(rig: Rig, motion: Motion) -> Past:
+    """Bristle, filtered speed and films over whole segments: once for all windows."""
     s, n, quarters = motion.dx.shape
-    dx = motion.dx.reshape(s, n * quarters)
+    dx, v = motion.dx, motion.v
+    if rig.stretch:
+        F = jnp.stack([motion.F[:, :-1], motion.F[:, 1:]], axis=-1)
+        dx = dx + jnp.diff(rod.ahead(rig.stretch, rod.along(F, quarters)), axis=-1)
+        F_rate = rod.rate(motion.F, motion.h)
+        v = v + rod.ahead_rate(rig.stretch, motion.F, F_rate)
+    dx = dx.reshape(s, n * quarters)
     h = jnp.repeat(motion.h / quarters, quarters, axis=1)
-    zero = jnp.zeros((s, 1))
-    z = run_linear(*rig.mechanics.bristle_map(dx), zero[:, 0])
-    speed = run_linear(*rig.mechanics.speed_map(dx, h), motion.speed0)
-    start = motion.speed0
+    z_0, w_0 = jnp.zeros(s), motion.speed0
+
+    def at_ticks(start, keep, add, every=quarters):
+        course = run_linear(keep, add, start)[:, every - 1 :: every]
+        return jnp.concatenate([start[:, None], course], axis=1)
+
+    z = at_ticks(z_0, *rig.mechanics.bristle_map(dx))
+    speed = at_ticks(w_0, *rig.mechanics.speed_map(dx, h))
     if rig.velocity:
-        v_0 = dx[:, 0] / h[:, 0]
-        lags = rig.mechanics.past_map(dx, h)
-        past = run_linear(*lags, jnp.broadcast_to(v_0, (len(lags[0]), s)))
-        speed = jnp.stack([speed, *past], axis=-1)
-        start = jnp.stack([start, *[v_0] * len(past)], axis=-1)
-    at_ticks = slice(quarters - 1, None, quarters)
-    return (
-        jnp.concatenate([zero, z[:, at_ticks]], axis=1),
-        jnp.concatenate([start[:, None], speed[:, at_ticks]], axis=1),
-    )
+        now = jnp.abs(v)
+        films = (
+            at_ticks(now[:, 0], *e.follow(now[:, :-1], now[:, 1:], motion.h), every=1)
+            for e in rig.velocity
+        )
+        speed = jnp.stack([speed, now, *films], axis=-1)
+    return Past(z, speed, v)
 
 
 def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
@@ -124,7 +144,7 @@ def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
         v=w.v[:, 1:],
         a=w.a[:, 1:],
         t=w.t[:, 1:],
-        F=ends(_rod_force(w)) if rig.stretch else None,
+        F=ends(w.F) if rig.stretch else None,
     )
     ticks = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), ticks)
     start = (P_0[:, 0], P_0[:, 1])
@@ -135,50 +155,27 @@ def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
     )
 
 
-def _rod_force(w: Windows) -> Array:
-    """The logged output force, [W, lead+T], N; in the lead, that of its end.
-
-    What it stretched in the lead is a shift of the initial pressures. Cubics over
-    `SMOOTH` ticks take most of its noise away, which the pressures would follow.
-    """
-    F = w.measured[..., 2]
-    F = jnp.where(jnp.isfinite(F), F, 0.0)
-    if w.scored >= SMOOTH:
-        F = F @ savgol_filter(np.eye(w.scored), SMOOTH, 3, axis=0).T
-    lead = w.x.shape[1] - w.scored
-    return jnp.concatenate([jnp.repeat(F[:, :1], lead, axis=1), F], axis=1)
-
-
-def _sense(rig: Rig, channels: tuple, y: Array, h: Array) -> Array:
+def _sense(channels: tuple, y: Array, h: Array) -> Array:
     """A sensor's reading of `y` [W, n] along its second axis."""
-    if not channels:
-        return y
     slope = (y[:, 1] - y[:, 0]) / h[:, 0]
-    memory, first = rig.sense_init(channels, y[:, 0], slope)
-
-    def step(memory, tick):
-        return rig.sense(channels, memory, *tick)
-
-    _, rest = jax.lax.scan(step, memory, (y[:, 1:].T, h[:, :-1].T))
-    return jnp.concatenate([first[:, None], rest.T], axis=1)
+    for channel in channels:
+        y, slope = channel.course(y, slope, h[:, :-1])
+    return y
 
 
-def readings(
-    rig: Rig, w: Windows, P_a1: Array, P_a2: Array, z: Array, speed: Array
-) -> Array:
+def readings(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, past: Past) -> Array:
     """What the sensors read, [W, T, 3] (P_a1, P_a2 in Pa, F in N).
 
-    `P_a1`, `P_a2` [W, lead+T] from `pressures` or the log; `z`, `speed` [S, N].
+    `P_a1`, `P_a2` [W, lead+T] from `pressures` or the log; `past` at the windows.
     """
-    index = w.first[:, None] + jnp.arange(w.x.shape[1])
-    z, speed = z[w.seg[:, None], index], speed[w.seg[:, None], index]
-    rate = rig.mechanics.z_rate(z, w.v)
-    speed, v = rig.slip(speed, w.v)
-    F = rig.output_force(Sliding(w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s))
+    z, speed, v = past
+    rate = rig.mechanics.z_rate(z, v)
+    speed, lag = rig.films(speed)
+    at = Sliding(w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s, lag)
     lead = w.x.shape[1] - w.scored
     y = [
-        _sense(rig, rig.gauge(0), P_a1, w.h),
-        _sense(rig, rig.gauge(1), P_a2, w.h),
-        _sense(rig, rig.sensor_F, F, w.h),
+        _sense(rig.gauge(0), P_a1, w.h),
+        _sense(rig.gauge(1), P_a2, w.h),
+        _sense(rig.sensor_F, rig.output_force(at), w.h),
     ]
     return jnp.stack([c[:, lead:] for c in y], axis=-1)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .friction import PAST, Friction, Sliding
+from . import rod
+from .friction import Friction, Sliding
 from .hydraulics import Chambers, Lands, Point
 from .params import Effect
+from .tick import State, Tick
 
 PLACES = (
     "command",
@@ -42,44 +43,6 @@ HYDRAULIC = (
 PARTS = 4
 """Parts of a tick over which the command's path is run: within one, the spool's mean
 opening stands for its course."""
-
-
-class Tick(NamedTuple):
-    """What drives the plant over one tick of length `h`; SI.
-
-    `u` is held. `P_s` and `P_r` are [..., 2], at the tick's ends. `x` [..., 2n + 1] is
-    the position at the ends and middles of n substeps, `dx` [..., 4] the displacement
-    over each quarter, for the bristle; `v`, `a` and `t` hold at the tick's end. `F`
-    [..., 2] is the output force at the tick's ends, where it was logged and an effect
-    stretches what stands between piston and encoder.
-    """
-
-    h: Array
-    u: Array
-    P_s: Array
-    P_r: Array
-    x: Array
-    dx: Array
-    v: Array
-    a: Array
-    t: Array
-    F: Array | None = None
-
-
-class State(NamedTuple):
-    """What the plant remembers: independent quantities only.
-
-    `speed` has the lags `friction.PAST` of the velocity behind it on a last axis where
-    an effect asks for them; `rod` holds the force that stretches, where one does.
-    """
-
-    command: tuple
-    P: tuple[Array, Array]
-    z: Array
-    speed: Array
-    sensor_P: tuple  # of chamber 1, of chamber 2
-    sensor_F: tuple
-    rod: tuple = ()
 
 
 def sides(spool: Array) -> tuple[Array, Array]:
@@ -156,14 +119,6 @@ class Rig(eqx.Module):
             q_1, q_2 = q_1 + e_1, q_2 + e_2
         return self.chambers.rates(at, q_1, q_2, self.compliance, self.volume)
 
-    def piston(self, tick: Tick) -> Array:
-        """Where the piston stands when the encoder says `tick.x`, m."""
-        if not self.stretch or tick.F is None:
-            return tick.x
-        start, end = tick.F[..., :1], tick.F[..., 1:]
-        F = start + jnp.linspace(0.0, 1.0, tick.x.shape[-1]) * (end - start)
-        return tick.x + sum(e.stretch(F) for e in self.stretch)
-
     def pressure_step(
         self, P: tuple[Array, Array], opening: tuple[Array, Array], tick: Tick
     ) -> tuple[Array, Array]:
@@ -173,7 +128,7 @@ class Rig(eqx.Module):
         the error is the pressures' own, of second order.
         """
         n = (tick.x.shape[-1] - 1) // 2
-        h, x = tick.h / n, self.piston(tick)
+        h, x = tick.h / n, rod.place(self, tick)
 
         def rates(P, k, v):
             part = k / (2 * n)
@@ -215,10 +170,11 @@ class Rig(eqx.Module):
             for i, p in enumerate((P_a1, P_a2))
         )
         cell, _ = self.sense_init(self.sensor_F, F, rest)
-        lags = (len(PAST) + 1,) if self.velocity else ()
-        speed = jnp.zeros((*rest.shape, *lags), rest.dtype)
-        rod = (F,) if self.stretch else ()
-        return State(self.command_init(u), (P_a1, P_a2), rest, speed, gauges, cell, rod)
+        films = (len(self.velocity) + 2,) if self.velocity else ()
+        speed = jnp.zeros((*rest.shape, *films), rest.dtype)
+        held = (F,) if self.stretch else ()
+        memory = self.command_init(u)
+        return State(memory, (P_a1, P_a2), rest, speed, gauges, cell, held)
 
     def step(self, state: State, tick: Tick) -> tuple[State, dict[str, Array]]:
         """Act over one tick, then sense at its end.
@@ -227,102 +183,64 @@ class Rig(eqx.Module):
         """
         command, opening = self.command_step(state.command, tick.u, tick.h)
         if tick.F is None:  # none was logged: nothing stretches
-            tick = tick._replace(F=jnp.zeros_like(tick.P_s))
+            tick = tick._replace(F=jnp.zeros_like(tick.P_s), F_rate=0 * tick.v)
         state = self.act(state._replace(command=command), opening, tick)
         F = self.output_force(self.sliding(state, tick))
         return self.read(state, F, tick.h)
 
     def act(self, state: State, opening: tuple[Array, Array], tick: Tick) -> State:
         """Pressures, bristle and filtered speed after a tick under `opening`."""
-        z, speed = state.z, state.speed
-        h = tick.h / tick.dx.shape[-1]
-        for i in range(tick.dx.shape[-1]):
-            dx = tick.dx[..., i]
-            keep, add = self.mechanics.bristle_map(dx)
-            z = keep * z + add
-            keep, add = self.speed_map(dx, h)
-            speed = keep * speed + add
-        moved = state._replace(z=z, speed=speed)
         if self.stretch and tick.F is None:
-            F = self.rod_force(moved, opening, tick)
+            F = rod.force(self, state, opening, tick)
             tick = tick._replace(F=jnp.stack([state.rod[0], F], axis=-1))
-            moved = moved._replace(rod=(F,))
-        return moved._replace(P=self.pressure_step(state.P, opening, tick))
+            state = state._replace(rod=(F,))
+        P = self.pressure_step(state.P, opening, tick)
+        return self.slide(state, tick)._replace(P=P)
 
-    def speed_map(self, dx: Array, h: Array) -> tuple[Array, Array]:
-        """The filtered speed's step; with the velocity's lags on a last axis."""
-        keep, add = self.mechanics.speed_map(dx, h)
-        if not self.velocity:
-            return keep, add
-        lags = self.mechanics.past_map(dx, h)
-        pairs = zip((keep, add), lags, strict=True)
-        return tuple(
-            jnp.stack([jnp.broadcast_to(one, dx.shape), *past], axis=-1)
-            for one, past in pairs
-        )
+    def slide(self, state: State, tick: Tick) -> State:
+        """Bristle, filtered speed and films after the piston's motion over a tick."""
+        dx = rod.moves(self, tick)
+        h = tick.h / dx.shape[-1]
+        z, speed = state.z, state.speed[..., 0] if self.velocity else state.speed
+        for i in range(dx.shape[-1]):
+            keep, add = self.mechanics.bristle_map(dx[..., i])
+            z = keep * z + add
+            keep, add = self.mechanics.speed_map(dx[..., i], h)
+            speed = keep * speed + add
+        if self.velocity:
+            now = jnp.abs(rod.velocity(self, tick))
+            films = [now]
+            for i, effect in enumerate(self.velocity):
+                keep, add = effect.follow(state.speed[..., 1], now, tick.h)
+                films.append(keep * state.speed[..., 2 + i] + add)
+            speed = jnp.stack([speed, *films], axis=-1)
+        return state._replace(z=z, speed=speed)
 
-    def slip(self, speed: Array, v: Array) -> tuple[Array, Array]:
-        """The filtered speed and the velocity that friction sees."""
-        if not self.velocity:
-            return speed, v
-        for effect in self.velocity:
-            v = effect.seen(v, speed[..., 1:])
-        return speed[..., 0], v
+    def films(self, speed: Array) -> tuple[Array, Array | float]:
+        """The filtered speed, and by how much the films' speed differs from `abs(v)`.
 
-    def rod_force(
-        self, moved: State, opening: tuple[Array, Array], tick: Tick
-    ) -> Array:
-        """The output force at the tick's end, the pressures still at its start, N.
-
-        What stretches gives way as the force rises, and the pressures fall with it:
-        `F = F_free - K (s(F) - s(F_0))`, with `K` the oil's stiffness as the output
-        feels it, lies between `F_0` and the force of a rod that does not give. Solved
-        by halving, and by one of Newton's steps for the derivative.
+        `speed` as in `State`.
         """
-        F_0 = moved.rod[0]
-        ends = (tick.P_s[..., 1], tick.P_r[..., 1])
-
-        def rates(v):
-            at = Point(*moved.P, *ends, *opening, x=tick.x[..., -1], v=v)
-            return self.pressure_rates(at)
-
-        def force(P):
-            return self.output_force(self.sliding(moved._replace(P=P), tick))
-
-        held = tick._replace(F=jnp.stack([F_0, F_0], axis=-1))
-        P = self.pressure_step(moved.P, opening, held)
-        still, moving = rates(jnp.zeros_like(F_0)), rates(jnp.ones_like(F_0))
-        per_metre = tuple(a - b for a, b in zip(still, moving, strict=True))
-        free, K = jax.jvp(force, (P,), (per_metre,))
-
-        def over(F):
-            moved = sum(e.stretch(F) - e.stretch(F_0) for e in self.stretch)
-            return F - free + K * moved
-
-        low, high = jnp.minimum(F_0, free), jnp.maximum(F_0, free)
-        for _ in range(24):
-            middle = (low + high) / 2
-            above = over(middle) > 0
-            low, high = jnp.where(above, low, middle), jnp.where(above, middle, high)
-        F = jax.lax.stop_gradient((low + high) / 2)
-        value, slope = jax.jvp(over, (F,), (jnp.ones_like(F),))
-        return F - value / jax.lax.stop_gradient(slope)
+        if not self.velocity:
+            return speed, 0.0
+        return speed[..., 0], jnp.sum(speed[..., 2:] - speed[..., 1:2], axis=-1)
 
     def sliding(self, state: State, tick: Tick) -> Sliding:
         """What friction sees at the end of a tick."""
-        rate = self.mechanics.z_rate(state.z, tick.v)
-        speed, v = self.slip(state.speed, tick.v)
+        v = rod.velocity(self, tick)
+        speed, lag = self.films(state.speed)
         return Sliding(
             t=tick.t,
             x=tick.x[..., -1],
             v=v,
             a=tick.a,
             z=state.z,
-            z_rate=rate,
+            z_rate=self.mechanics.z_rate(state.z, v),
             speed=speed,
             P_a1=state.P[0],
             P_a2=state.P[1],
             P_s=tick.P_s[..., 1],
+            lag=lag,
         )
 
     def read(self, state: State, F: Array, h: Array) -> tuple[State, dict[str, Array]]:

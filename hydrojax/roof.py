@@ -85,8 +85,9 @@ def friction_bounds(
     loop, courses = _courses(spec, loop, case.fit_logs)
     tell("refine the bounds")
     paper = controller.default_bounds(loop.law.nominal)
-    ways = {
-        "paper": tuple(np.array([paper[n][i] for n in names]) for i in (0, 1)),
+    lowest, highest = (np.array([paper[n][i] for n in names]) for i in (0, 1))
+    ways: dict[str, tuple[np.ndarray, np.ndarray]] = {
+        "paper": (lowest, highest),
         "box": (box.lower, box.upper),
     }
     ways["refined"] = refine(loop, plants, courses, *ways["box"], limits, tell)

@@ -77,7 +77,7 @@ def simulate(loop: Loop, course: Course) -> Run:
     Warns (`RuntimeWarning`) if a pressure leaves (P_r, P_s) or the run diverges.
     """
     table = np.asarray(_run(loop, course))
-    signals = dict(zip(SIGNALS, table.T, strict=True))
+    signals: dict[str, np.ndarray] = dict(zip(SIGNALS, table.T, strict=True))
     supply, back = np.asarray(course.P_s[:, 0]), np.asarray(course.P_r[:, 0])
     open_1 = not float(loop.rig.force_area_1)  # an open chamber holds no pressure
     leaves = tuple(

@@ -64,7 +64,8 @@ def check_loop(
     rig = make_rig(known, effects)
     names = tuple(parameter_specs(rig))
     own = np.asarray(get(rig, names))
-    rig = put(rig, names, [values.get(n, v) for n, v in zip(names, own, strict=True)])
+    at = [values.get(n, v) for n, v in zip(names, own, strict=True)]
+    rig = put(rig, names, np.array(at))
     loop = make_loop(known, rig)
     course, loop = rerun(known, loop, log, MOST_SECONDS)
     if course is None:

@@ -142,7 +142,7 @@ def _course(
 def _batch(
     table: Array, path: Callable, noise: np.ndarray, supply: float, q: _Question
 ) -> Batch:
-    """What `identify` would make of a run's log; `table` [n, 3] is u, P_a1, P_a2."""
+    """What `identify` would make of a run's log; `table` [n, 4]: u, P_a1, P_a2, F."""
     n = table.shape[0]
     t = jnp.arange(n) * q.h
     first = np.arange(PRE, n - LEAD - WINDOW, WINDOW)
@@ -163,17 +163,20 @@ def _batch(
         x=path(t[index], 0),
         v=path(t[index], 1),
         a=path(t[index], 2),
+        F=table[index, 3],
         x_fine=path(fine, 0),
         P_a1=table[index, 1],
         P_a2=table[index, 2],
         measured=jnp.zeros((len(first), WINDOW, 3)),
     )
     dx = jnp.diff(path(quarters, 0), axis=1)[None]
-    motion = Motion(dx, q.h * jnp.ones((1, n - 1)), jnp.abs(path(t[:1], 1)))
+    v = path(t, 1)[None]
+    ticks = q.h * jnp.ones((1, n - 1))
+    motion = Motion(dx, ticks, jnp.abs(v[:, 0]), v, table[None, :, 3])
     return Batch(
         motion,
         windows,
-        table[first, 1:],
+        table[first, 1:3],
         jnp.asarray(noise),
         jnp.asarray(supply),
         jnp.ones(len(first)),
@@ -299,7 +302,7 @@ class Asked:
         """Standard deviations of what is wanted, in scales, and what is overstepped."""
         course, path = self.course(at)
         table = run(self.loop, course, ("u", "true_P_a1", "true_P_a2", "true_F"))
-        batch = _batch(table[:, :3], path, self.noise, self.supply, self.q)
+        batch = _batch(table, path, self.noise, self.supply, self.q)
         information, order = _information(self.q, batch)
         over = _outside(table, self.loop, self.q, self.limits.force)
         return jnp.sqrt(_spreads(information, order, self.q.wanted)), over

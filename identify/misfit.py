@@ -17,11 +17,9 @@ import numpy as np
 from jaxtyping import Array, PyTree
 
 from ..named import get, hydraulic_names, parameter_specs, put, scales
-from ..replay import Motion, Windows, friction_memory, pressures, readings
+from ..params import specs
+from ..replay import Motion, Past, Windows, friction_memory, pressures, readings
 from ..rig import Rig
-
-MEMORY = ("z_ss", "L_rate")
-"""The parameters on which bristle and filtered speed depend."""
 
 START_SPREAD = 3e5
 """Prior on a window's initial pressure about its first guess, Pa: wide, it only keeps
@@ -136,28 +134,39 @@ def predict(rig: Rig, batch: Batch, simulate: bool) -> Array:
     """What the sensors would read, [W, T, 3], from the batch's initial pressures."""
     w = batch.windows
     P = pressures(rig, w, batch.P_0) if simulate else (w.P_a1, w.P_a2)
-    return readings(rig, w, *P, *friction_memory(rig, batch.motion))
+    return readings(rig, w, *P, friction_memory(rig, batch.motion).within(w))
+
+
+def memory_names(rig: Rig) -> tuple[str, ...]:
+    """The parameters on which bristle, filtered speed and films depend."""
+    moved = (
+        f"{effect.name}.{field}"
+        for effect in (*rig.stretch, *rig.velocity)
+        for field in specs(effect)
+    )
+    return ("z_ss", "L_rate", *moved)
 
 
 class Recalled(NamedTuple):
-    """Bristle and filtered speed over the whole log, [S, N] each, and their
-    derivatives by each parameter of `MEMORY`.
+    """What friction sees of the motion over the whole log, and its derivatives by each
+    parameter of `memory_names`, on a first axis.
     """
 
-    state: tuple[Array, Array]
-    by: tuple[tuple[Array, Array], ...]
+    past: Past
+    by: Past
 
 
 def recall(model: Model, values: Array, motion: Motion) -> Recalled:
     """What friction remembers of the motion: once for all windows."""
     here = put(model.rig, model.names, values)
+    names = memory_names(here)
 
     def memory(of):
-        return friction_memory(put(here, MEMORY, of), motion)
+        return friction_memory(put(here, names, of), motion)
 
-    at = get(here, MEMORY)
-    by = tuple(jax.jvp(memory, (at,), (row,))[1] for row in jnp.eye(len(MEMORY)))
-    return Recalled(memory(at), by)
+    at = get(here, names)
+    along = jax.vmap(lambda row: jax.jvp(memory, (at,), (row,)), out_axes=(None, 0))
+    return Recalled(*along(jnp.eye(len(names))))
 
 
 def _in_pieces(part: Callable[[Batch], PyTree], batch: Batch) -> PyTree:
@@ -213,7 +222,8 @@ def sensitivities(
         return pressures(at, moved, batch.P_0 + P_shift)
 
     here = put(rig, names, values)
-    state, d_state = recalled or recall(model, values, batch.motion)
+    recalled = recalled or recall(model, values, batch.motion)
+    past = recalled.past.within(w)
     if simulate:
         zero = (jnp.zeros(k_1), jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS))
         P, d_P = jax.vmap(
@@ -226,25 +236,42 @@ def sensitivities(
         P = (w.P_a1, w.P_a2)
         d_P = [jnp.zeros((k_1 + k_2 + NUISANCE, *P[0].shape))] * 2
 
-    def force(d, P_a1, P_a2, z, speed):
+    def force(d, P_a1, P_a2):
         at = put(here, names[n:], values[n:] + directions.other @ d)
-        return readings(at, w, P_a1, P_a2, z, speed)
+        return readings(at, w, P_a1, P_a2, past)
 
     columns = jnp.concatenate(
         [jnp.zeros((k_1, k_2)), jnp.eye(k_2), jnp.zeros((NUISANCE, k_2))]
     )
-    rows = jnp.stack(
-        [directions.other[names.index(m) - n] for m in MEMORY]
-    )  # [memory, k_2]
 
     def column(e, dp_1, dp_2):
-        share = rows @ e
-        dz, dw = (
-            sum(s * d[i] for s, d in zip(share, d_state, strict=True)) for i in (0, 1)
-        )
-        return jax.jvp(force, (jnp.zeros(k_2), *P, *state), (e, dp_1, dp_2, dz, dw))
+        return jax.jvp(force, (jnp.zeros(k_2), *P), (e, dp_1, dp_2))
 
-    return jax.vmap(column, out_axes=(None, 0))(columns, *d_P)
+    y, dy = jax.vmap(column, out_axes=(None, 0))(columns, *d_P)
+    return y, dy + _through_memory(model, here, directions, w, P, recalled)
+
+
+def _through_memory(
+    model: Model,
+    here: Rig,
+    directions: Basis,
+    w: Windows,
+    P: tuple[Array, Array],
+    recalled: Recalled,
+) -> Array:
+    """What the columns are through what friction remembers, [k + NUISANCE, W, T, 3]."""
+    past = recalled.past.within(w)
+
+    def one(by):
+        along = (by.within(w),)
+        return jax.jvp(lambda p: readings(here, w, *P, p), (past,), along)[1]
+
+    k_1, k_2 = directions.hydraulic.shape[1], directions.other.shape[1]
+    every = jnp.zeros((len(model.names), k_1 + k_2 + NUISANCE))
+    every = every.at[: model.hydraulic, :k_1].set(directions.hydraulic)
+    every = every.at[model.hydraulic :, k_1 : k_1 + k_2].set(directions.other)
+    rows = np.array([model.names.index(m) for m in memory_names(here)])
+    return jnp.tensordot(every[rows].T, jax.vmap(one)(recalled.by), axes=1)
 
 
 def sums(

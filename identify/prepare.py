@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from scipy import interpolate
+from scipy.signal import savgol_filter
 
 from ..errors import InputError
 from ..record import SUPPLY, position
@@ -31,9 +32,15 @@ LEAD = 20
 """Ticks at the head of a window that are run but not compared."""
 
 
-SETTLE = 0.5
-"""Seconds at the head of a segment that no window takes: the bristle's start is
-unknown."""
+SETTLE = 1.0
+"""Seconds at the head of a segment that no window takes: what bristle, filtered speed
+and film start from is unknown. Half of it in segments under `SHORT` seconds."""
+
+SHORT = 5.0
+
+SMOOTH = 15
+"""Ticks over which a logged force is smoothed before it stretches anything: flat to
+some 40 Hz on a log at 1 kHz."""
 
 
 MOST_TICKS = 80_000
@@ -90,6 +97,7 @@ class _Segment:
     P_r: np.ndarray
     P: np.ndarray  # [n, 2] as logged
     F: np.ndarray
+    calm: np.ndarray  # F for what it stretches
 
 
 def prepare(
@@ -146,8 +154,8 @@ def prepare(
     if not cuts:
         raise InputError(
             f"{logs[0].name}: no stretch without gaps is longer than "
-            f"{SETTLE + (pre + lead + T) * h:.2g} s: give a longer log or a shorter "
-            "--horizon"
+            f"{SETTLE / 2 + (pre + lead + T) * h:.2g} s: give a longer log or a "
+            "shorter --horizon"
         )
     most = max(MOST_TICKS // (lead + T), 1)
     if len(cuts) > most:
@@ -271,7 +279,13 @@ def _segment(
         P_r=supply["P_r"],
         P=P,
         F=F,
+        calm=_calm(F),
     )
+
+
+def _calm(F: np.ndarray) -> np.ndarray:
+    """A measured force without most of its noise, which what gives would follow."""
+    return savgol_filter(F, SMOOTH, 3) if np.isfinite(F).all() else np.zeros(F.size)
 
 
 def runs_backward(data: Data) -> bool:
@@ -300,7 +314,8 @@ def runs_backward(data: Data) -> bool:
 
 def _starts(s: _Segment, T: int, pre: int, lead: int) -> range:
     """First ticks (of the lead) of the windows that tile a segment."""
-    settled = int(np.searchsorted(s.t, s.t[0] + SETTLE))
+    settle = SETTLE if s.t[-1] - s.t[0] > SHORT else SETTLE / 2
+    settled = int(np.searchsorted(s.t, s.t[0] + settle))
     begin = max(settled - lead, pre)
     return range(begin, s.t.size - lead - T + 1, T)
 
@@ -309,7 +324,7 @@ def _motion(segments: list[_Segment], h: float) -> Motion:
     n = max(s.t.size for s in segments)
     dx = np.zeros((len(segments), n - 1, QUARTERS))
     ticks = np.full((len(segments), n - 1), h)
-    speed = np.zeros(len(segments))
+    speed, v, F = np.zeros(len(segments)), np.zeros((len(segments), n)), []
     for k, s in enumerate(segments):
         step = np.diff(s.t)
         parts = np.arange(QUARTERS + 1) / QUARTERS
@@ -318,7 +333,9 @@ def _motion(segments: list[_Segment], h: float) -> Motion:
         ticks[k, : step.size] = step
         first = np.abs(dx[k, : max(int(0.2 / h), 2)])
         speed[k] = first.sum() / (first.shape[0] * h)
-    return Motion(*(jnp.asarray(a) for a in (dx, ticks, speed)))
+        v[k, : s.t.size] = s.v
+        F.append(np.pad(s.calm, (0, n - s.t.size), mode="edge"))
+    return Motion(*(jnp.asarray(np.array(a)) for a in (dx, ticks, speed, v, F)))
 
 
 def _windows(
@@ -355,6 +372,7 @@ def _windows(
             "x": s.place(t),
             "v": s.v[at],
             "a": s.a[at],
+            "F": s.calm[at],
             "x_fine": s.place(fine),
             "P_a1": s.P[at, 0],
             "P_a2": s.P[at, 1],

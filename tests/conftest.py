@@ -84,6 +84,7 @@ def draw_waves(rng: np.random.Generator) -> dict[str, Wave]:
         "u": wave(0.02, [0.5, 0.3], [17.0, 41.0]),
         "P_s": wave(14e6, [2e5, 1e5], [7.0, 19.0]),
         "P_r": wave(0.25e6, [1e4, 1e4], [5.0, 13.0]),
+        "F": wave(30.0, [300.0, 50.0], [19.0, 37.0]),
     }
 
 
@@ -109,6 +110,8 @@ def make_drive(substeps: int = 1, jitter: float = 0.0, seed: int = 0) -> Drive:
         dx=np.stack([np.diff(within(s, whole, 4), axis=1) for s in range(2)]),
         h=np.diff(t, axis=1)[:, whole],
         speed0=np.array([2e-3, 5e-3]),
+        v=np.stack([waves[s]["x"](t[s, PRE:], 1) for s in range(2)]),
+        F=np.stack([waves[s]["F"](t[s, PRE:]) for s in range(2)]),
     )
 
     n = LEAD + SCORED
@@ -134,6 +137,7 @@ def make_drive(substeps: int = 1, jitter: float = 0.0, seed: int = 0) -> Drive:
         x=signal("x"),
         v=signal("x", 1),
         a=signal("x", 2),
+        F=signal("F"),
         x_fine=np.stack(
             [within(s, slice(at.start, at.stop - 1), 2 * substeps) for s, at in cuts]
         ),

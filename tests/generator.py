@@ -13,9 +13,12 @@ and bristle-damping forces stand inside f_c (3), so they carry the factor 1 - L;
 presliding friction sees the piston's force, before gravity and inertia enter; the
 command passes play, delay, slew, spool, bias, deadband, in that order; Q_s of the
 supply line is the flow through the edge that draws on it, and P_s is logged ahead of
-the line; what stretches between piston and encoder feels the piston's force, whose
-friction is taken along a line from tick to tick; a skewed channel is skewed in the log
-only, the loop reads it in time.
+the line; what stretches between piston and encoder feels the piston's force; there
+the bristle follows the piston in every substep, what depends on speed sees the piston's
+mean one over the last tick (a massless piston would chatter where friction falls with
+its own speed) and goes along a line from tick to tick; a film that comes late follows
+the speed, whatever its sign, and acts along the bristle; a skewed channel is skewed in
+the log only, the loop reads it in time.
 
 Run as `python -m tests.generator --out DIR --seed 3 --effect internal_leakage`.
 """
@@ -212,32 +215,47 @@ def lowpass(y: np.ndarray, rate: float, h: float, start: float) -> np.ndarray:
     return np.concatenate([[start], tail])
 
 
+def seal(rig: Rig, e: Effects, t, x, v, z, slow, film, rest) -> tuple:
+    """Coulomb level [N] before its pressure factor, the rest of f_c [N], and L [-].
+
+    Of time [s], place [m], velocity [m/s], bristle [m], filtered speed, the film's
+    speed [m/s] and how long the piston has stood still; numbers or arrays.
+    """
+    extra = e["stribeck"]["k_st"] * np.exp(-((film / e["stribeck"]["v_s"]) ** 2))
+    level = np.where(z > 0, rig["k_cp"], rig["k_cn"]) + extra
+    place, drift = e["position_friction"], e["friction_drift"]
+    level = level * (1 + place["a"] * np.sin(2 * np.pi * x / place["wavelength"]))
+    level = level * (1 + drift["a"] * (np.exp(-t / drift["tau"]) - 1))
+    level = level * (1 + e["dwell"]["a"] * rest)
+    seen = v + np.clip(z / rig["z_ss"], -1, 1) * (film - np.abs(v))
+    others = rig["k_0"] - np.where(seen > 0, rig["k_vp"], rig["k_vn"]) * seen
+    others = others + e["viscous_friction"]["b"] * seen
+    others = others + e["quadratic_drag"]["c"] * seen * np.abs(seen)
+    rate = v - np.abs(v) * z / rig["z_ss"]
+    others = others + e["bristle_damping"]["sigma_1"] * rate
+    return level, others, 1 / (1 + (L_SLOPE * slow) ** 3)
+
+
+def standing(e: Effects, v: np.ndarray) -> np.ndarray:
+    """How long the piston has stood still, 0 to 1, at each tick."""
+    still = 1 / (1 + (v / e["dwell"]["v_d"]) ** 2)
+    return lowpass(still, 1 / e["dwell"]["tau"], TICK, 1.0)
+
+
 def friction(rig: Rig, e: Effects, t, x, v) -> tuple[np.ndarray, ...]:
     """The parts of (3) and (7) that motion alone decides, at each tick.
 
     Coulomb force [N] before its pressure factor, the rest of f_c [N], and L [-].
     `x` [m] and `v` [m/s] are on the fine grid, `t` [s] at the ticks.
     """
-    z, z_ss = bristle(x, rig["z_ss"]), rig["z_ss"]
-    slow = lowpass(np.abs(v), L_RATE, STEP, 0.0)[::SUBSTEPS]
-    film, tau_h = v, e["frictional_lag"]["tau_h"]
+    z, speed = bristle(x, rig["z_ss"]), np.abs(v)
+    slow = lowpass(speed, L_RATE, STEP, 0.0)[::SUBSTEPS]
+    film, tau_h = speed, e["frictional_lag"]["tau_h"]
     if tau_h:
-        film = lowpass(v, 1 / tau_h, STEP, v[0])
+        film = lowpass(speed, 1 / tau_h, STEP, speed[0])
     x, v, film = x[::SUBSTEPS], v[::SUBSTEPS], film[::SUBSTEPS]
-    extra = e["stribeck"]["k_st"] * np.exp(-((film / e["stribeck"]["v_s"]) ** 2))
-    level = np.where(z > 0, rig["k_cp"], rig["k_cn"]) + extra
-    place, drift = e["position_friction"], e["friction_drift"]
-    dwell = e["dwell"]
-    rest = lowpass(1 / (1 + (v / dwell["v_d"]) ** 2), 1 / dwell["tau"], TICK, 1.0)
-    level *= 1 + place["a"] * np.sin(2 * np.pi * x / place["wavelength"])
-    level *= 1 + drift["a"] * (np.exp(-t / drift["tau"]) - 1)
-    level *= 1 + dwell["a"] * rest
-    fall = np.where(film > 0, rig["k_vp"], rig["k_vn"] * (film < 0))
-    others = rig["k_0"] - fall * film
-    others += e["viscous_friction"]["b"] * film
-    others += e["quadratic_drag"]["c"] * film * np.abs(film)
-    others += e["bristle_damping"]["sigma_1"] * (v - np.abs(v) * z / z_ss)
-    return np.clip(z / z_ss, -1, 1) * level, others, 1 / (1 + (L_SLOPE * slow) ** 3)
+    level, *rest = seal(rig, e, t, x, v, z, slow, film, standing(e, v))
+    return np.clip(z / rig["z_ss"], -1, 1) * level, *rest
 
 
 def piston_force(drive: float, k_p: float, k_n: float, delta: float) -> float:
@@ -259,7 +277,6 @@ def pressure_rates(rig: Rig, e: Effects) -> Callable[..., tuple]:
     k_s = e["supply_line_drop"]["k_s"]
     alpha, n, p_0 = (e["entrained_air"][k] for k in ("alpha", "n", "p_0"))
     lap, laminar = e["underlap"]["u_ul"], e["orifice_transition"]["dP_t"] ** 2
-    stretch = stretching(rig, e)
 
     def root(drop: float) -> float:
         """Square root of a pressure drop, laminar below dP_t."""
@@ -276,7 +293,7 @@ def pressure_rates(rig: Rig, e: Effects) -> Callable[..., tuple]:
         """Q of Q = edge root(drop - loss Q^2), m^3/s."""
         return edge * root(drop / (1 + loss * edge * edge))
 
-    def rates(p1, p2, u, p_s, v1, v2, swept, pulse, *rod):
+    def rates(p1, p2, u, p_s, v1, v2, swept, pulse):
         """Opening u [V], volumes v1, v2 [m^3], swept flow A v [m^3/s]."""
         up, down = max(lap + u, 0.0), max(lap - u, 0.0)
         q1 = q2 = 0.0
@@ -290,35 +307,125 @@ def pressure_rates(rig: Rig, e: Effects) -> Callable[..., tuple]:
         b1, b2 = (modulus(p1), modulus(p2)) if alpha else (beta, beta)
         q1 += -cross - c_el * (p1 - p_r) + pulse
         q2 += cross - c_el * (p2 - p_r)
-        if rod:
-            swept += stretch(p1, p2, q1 + swept, q2 - swept, b1 / v1, b2 / v2, *rod)
         return b1 * (q1 + swept) / v1, b2 * (q2 - swept) / v2
 
     return rates
 
 
-def stretching(rig: Rig, e: Effects) -> Callable[..., float]:
-    """The flow [m^3/s] that the piston sweeps beside A v, as rod and play give.
+def gives(e: Effects) -> bool:
+    """Whether anything gives between piston and encoder."""
+    return math.isfinite(e["rod_compliance"]["k"]) or e["backlash"]["b"] > 0
 
-    It moves at w = s'(F) dF/dt, F that of `piston_force`; its drive changes by
-    A (dP2/dt - dP1/dt) less the friction's own rate, the pressures by w again, and k
-    with L: a linear equation in w.
+
+class Soft:
+    """Chambers, bristle and force where rod or play give, from tick to tick.
+
+    The piston stands s(F) ahead of the encoder. In each substep the pressures go as if
+    it did not, and then F is found at which piston, oil and bristle agree. `parts`, as
+    from `friction`, grows by one row a tick.
     """
-    area, delta, k_p, k_n = (rig[k] for k in ("area", "delta", "k_fp", "k_fn"))
-    give, play = 1 / e["rod_compliance"]["k"], e["backlash"]
 
-    def flow(p1, p2, q1, q2, stiff1, stiff2, drag, drag_rate, ell, ell_rate) -> float:
-        drive = area * (p2 - p1) - drag
-        force = piston_force(drive, ell * k_p, ell * k_n, delta)
-        k, soft = k_p if drive > 0 else k_n, 1 + delta * abs(force)
-        follow = 1 / (1 + ell * k / soft**2)  # dF / d drive
-        steep = 1 / math.cosh(min(abs(force) / play["F_w"], 50.0)) ** 2
-        c = follow * (give + play["b"] / 2 / play["F_w"] * steep)
-        rate = area * (stiff2 * q2 - stiff1 * q1) - drag_rate
-        rate -= ell_rate * k * force / soft
-        return area * c * rate / (1 + c * area * area * (stiff1 + stiff2))
+    def __init__(self, rig: Rig, e: Effects, t, x, v, p_s):
+        self.rig, self.e, self.rates = rig, e, pressure_rates(rig, e)
+        self.t, self.x, self.v = t.tolist(), x[::SUBSTEPS].tolist(), v[::SUBSTEPS]
+        self.dx, self.p_s = np.diff(x).tolist(), p_s.tolist()
+        self.rest = standing(e, self.v)
+        self.z = self.slow = 0.0
+        self.film = abs(float(self.v[0]))
+        self.now = self.seal(0, float(self.v[0]))
+        self.parts: tuple[list, ...] = ([0.0], [self.now[1]], [self.now[2]])
 
-    return flow
+    def start(self, force: float) -> None:
+        """At rest under the piston's force [N]."""
+        self.force, self.s = force, self.stretch(force)
+        self.s_before = self.s
+
+    def stretch(self, force: float) -> float:
+        """How far the piston stands ahead of the encoder [m]."""
+        play = self.e["backlash"]
+        swing = play["b"] / 2 * math.tanh(force / play["F_w"])
+        return force / self.e["rod_compliance"]["k"] + swing
+
+    def seal(self, k: int, v: float) -> list[float]:
+        """Level, the rest of f_c and L at tick k, where the piston's speed is v."""
+        tau_h = self.e["frictional_lag"]["tau_h"]
+        film = self.film if tau_h else abs(v)
+        at = (self.t[k], self.x[k], v, self.z, self.slow, film, self.rest[k])
+        return [float(part) for part in seal(self.rig, self.e, *at)]
+
+    def tick(self, k: int, p1: float, p2: float, openings, drive):
+        """Chamber pressures [Pa] at tick k + 1, from those at tick k."""
+        w, self.s_before = (self.s - self.s_before) / TICK, self.s
+        ends = np.abs(self.v[k : k + 2] + w)
+        self.slow = float(lowpass(ends, L_RATE, TICK, self.slow)[1])
+        if tau_h := self.e["frictional_lag"]["tau_h"]:
+            self.film = float(lowpass(ends, 1 / tau_h, TICK, self.film)[1])
+        before, self.now = self.now, self.seal(k + 1, float(self.v[k + 1]) + w)
+        stiff = self.stiffness(p1, p2, openings[0][0], drive[0])
+        for j in range(SUBSTEPS):
+            part = (j + 1) / SUBSTEPS
+            pairs = zip(before, self.now, strict=True)
+            parts = [a + part * (b - a) for a, b in pairs]
+            free = integrate(self.rates, p1, p2, openings[j : j + 1], drive[j : j + 2])
+            p1, p2 = self.settle(free, stiff, parts, k, self.dx[k * SUBSTEPS + j])
+        level, others, ell = self.now
+        turn = max(-1.0, min(1.0, self.z / self.rig["z_ss"]))
+        for column, value in zip(self.parts, (turn * level, others, ell), strict=True):
+            column.append(value)
+        return p1, p2
+
+    def stiffness(self, p1, p2, opening, here) -> tuple[float, float]:
+        """What a metre of the piston's own changes in the pressures [Pa/m]."""
+        p_s, v1, v2, swept, pulse = here
+        area = self.rig["area"]
+        still = self.rates(p1, p2, opening, p_s, v1, v2, swept, pulse)
+        moving = self.rates(p1, p2, opening, p_s, v1, v2, swept + area, pulse)
+        return moving[0] - still[0], moving[1] - still[1]
+
+    def settle(self, free, stiff, parts, k, dx) -> tuple[float, float]:
+        """Pressures [Pa] where the force, the stretch and the bristle agree."""
+        rig, z_ss = self.rig, self.rig["z_ss"]
+        level, others, ell = parts
+        rise = self.e["pressure_friction"]["a"] * sum(free) / (2 * self.p_s[k])
+
+        def state(force):
+            moved = self.stretch(force) - self.s
+            way = dx + moved
+            keep = math.exp(-abs(way) / z_ss)
+            z = self.z * keep + math.copysign(z_ss * (1 - keep), way)
+            p1, p2 = free[0] + stiff[0] * moved, free[1] + stiff[1] * moved
+            turn = max(-1.0, min(1.0, z / z_ss))
+            f_c = turn * level * (1 + rise) + others
+            drive = rig["area"] * (p2 - p1) - (1 - ell) * f_c
+            k_p, k_n = ell * rig["k_fp"], ell * rig["k_fn"]
+            return force - piston_force(drive, k_p, k_n, rig["delta"]), p1, p2, z
+
+        force = falsi(lambda f: state(f)[0], self.force)
+        _, p1, p2, self.z = state(force)
+        self.force, self.s = force, self.stretch(force)
+        return p1, p2
+
+
+def falsi(gap: Callable[[float], float], start: float) -> float:
+    """The root of a rising function by the Illinois rule; it is met by `start - gap`
+    at the latest, where nothing gives.
+    """
+    a, g_a = start, gap(start)
+    if g_a == 0.0:
+        return a
+    b = a - g_a
+    g_b = gap(b)
+    for _ in range(60):
+        if abs(g_b) < 1e-7 or g_a == g_b:
+            break
+        c = b - g_b * (b - a) / (g_b - g_a)
+        g_c = gap(c)
+        if g_c * g_b < 0:
+            a, g_a = b, g_b
+        else:
+            g_a /= 2
+        b, g_b = c, g_c
+    return b
 
 
 class Valve:
@@ -415,9 +522,10 @@ def sensor_lag(tau: float) -> Callable[[float, float, float], float]:
 def force_at(rig: Rig, e: Effects, parts, given, p_s) -> Callable:
     """Force [N] at the load cell at tick k from the chamber pressures there.
 
-    `parts` are friction's, `given` [N] what motion and time add behind the piston.
+    `parts` are friction's, as lists; `given` [N] is what motion and time add behind
+    the piston.
     """
-    coulomb, others, presliding = (part.tolist() for part in parts)
+    coulomb, others, presliding = parts
     given, p_s, rise = given.tolist(), p_s.tolist(), e["pressure_friction"]["a"]
 
     def force(k: int, p1: float, p2: float) -> float:
@@ -438,22 +546,14 @@ def given_force(rig: Rig, e: Effects, t, x, accel) -> np.ndarray:
     return total + ripple["force"] * np.sin(2 * np.pi * ripple["frequency"] * t)
 
 
-def road(rig: Rig, e: Effects, t, p_s, x, v, parts) -> list[tuple]:
-    """What drives `rates` besides opening and pressures, on the fine grid t [s].
-
-    `parts` are friction's, at the ticks: they matter where something stretches.
-    """
+def road(rig: Rig, e: Effects, t, p_s, x, v) -> list[tuple]:
+    """What drives `rates` besides opening and pressures, on the fine grid t [s]."""
     half, spare = rig["chamber_length"] / 2, e["dead_volume"]["V_0"]
     v1 = rig["area"] * (half + rig["delta_1"] - x) + spare
     v2 = rig["area"] * (half + rig["delta_2"] + x) + spare
     hum = e["flow_pulsation"]
     pulse = hum["flow"] * np.sin(2 * np.pi * hum["frequency"] * t)
     columns = (p_s, v1, v2, rig["area"] * v, pulse)
-    if math.isfinite(e["rod_compliance"]["k"]) or e["backlash"]["b"]:
-        coulomb, others, ell = parts
-        drag = np.interp(t, t[::SUBSTEPS], (1 - ell) * (coulomb + others))
-        ell = np.interp(t, t[::SUBSTEPS], ell)
-        columns += (drag, np.gradient(drag, STEP), ell, np.gradient(ell, STEP))
     return list(zip(*(c.tolist() for c in columns), strict=True))
 
 
@@ -481,9 +581,10 @@ def record(
     noise = streams[3].normal(size=(count, 4)) * [NOISE_P, NOISE_P, NOISE_P, NOISE_F]
     psi = np.round(path(t) / rig["radius"] / ENCODER) * ENCODER
     given = given_force(rig, e, t, path(t), path(t, 2))
-    parts = friction(rig, e, t, x, v)
+    soft = Soft(rig, e, t, x, v, p_s) if gives(e) else None
+    parts = soft.parts if soft else [p.tolist() for p in friction(rig, e, t, x, v)]
     force = force_at(rig, e, parts, given, p_s)
-    drive = road(rig, e, fine, np.interp(fine, t, p_s), x, v, parts)
+    drive = road(rig, e, fine, np.interp(fine, t, p_s), x, v)
 
     rates, valve = pressure_rates(rig, e), Valve(e)
     loop = ForceLoop(nominal_rig(rig, 0, 0.1))
@@ -494,6 +595,8 @@ def record(
     inputs = (psi, noise, p_s, wanted, np.gradient(wanted, TICK))
     p1, p2 = start_pressures(rig, float(p_s[0]), float(wanted[0] - given[0]))
     past = seen = (p1, p2, force(0, p1, p2))
+    if soft:
+        soft.start(past[2] - float(given[0]))
     rows = []
     ticks = zip(*(i.tolist() for i in inputs), strict=True)
     for k, (angle, n, line, *goal) in enumerate(ticks):
@@ -505,7 +608,11 @@ def record(
         rows.append((loop.command(angle, *read, *goal), *read))
         openings = valve.openings(rows[-1][0])
         here = drive[k * SUBSTEPS : (k + 1) * SUBSTEPS + 1]
-        if k + 1 < count:
+        if k + 1 == count:
+            break
+        if soft:
+            p1, p2 = soft.tick(k, p1, p2, openings, here)
+        else:
             p1, p2 = integrate(rates, p1, p2, openings, here)
     u, p_a1, p_a2, p_line, measured = np.array(rows).T
     if skew := e["channel_skew"]["tau_s"]:

@@ -298,3 +298,43 @@ def test_skew_past_its_queue_reads_its_oldest():
     y = held(60)
     got = read(ChannelSkew(tau_s=-3e-3), y, 0.0, H / 10)
     assert np.allclose(got[REACH:], y[2 : 2 + len(got) - REACH])
+
+
+# -- a course that is known --
+
+
+def course(channel, y, h=None):
+    """Readings of a known course [n], from every tick."""
+    y = jnp.asarray(y)[None]
+    h = jnp.full((1, y.shape[1] - 1), H) if h is None else jnp.asarray(h)[None]
+    slope = (y[:, 1] - y[:, 0]) / h[:, 0]
+    return np.asarray(channel.course(y, slope, h)[0])[0]
+
+
+@pytest.mark.parametrize("kind", SENSOR)
+def test_a_known_course_is_absent_and_otherwise_the_steps(kind):
+    channel = kind() if isinstance(kind, type) else kind
+    y = 5e6 + 1e5 * held()
+    assert np.allclose(course(channel, y), y, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "channel", [LoadcellLag(tau_F=2e-3), LoadcellGain(eps=0.1)], ids=["lag", "gain"]
+)
+def test_a_known_course_is_read_step_by_step(channel):
+    y = held()
+    assert np.allclose(course(channel, y)[1:], read(channel, y, (y[1] - y[0]) / H))
+
+
+@pytest.mark.parametrize("tau", [3e-3, 1.2e-3, 0.4e-3, -0.3e-3, -1e-3, -3e-3])
+@pytest.mark.parametrize("jitter", [0.0, 0.2])
+def test_skew_of_a_known_course_reads_along_its_lines(tau, jitter):
+    """Early as well as late, but for what a window's last ticks do not know."""
+    h = H * (1 + jitter * np.random.default_rng(0).uniform(-1, 1, 99))
+    t, rough = np.r_[0.0, np.cumsum(h)], 1e3 * held(100)
+    got = course(ChannelSkew(tau_s=tau), rough, h)
+    known = slice(5, -5)
+    want = np.interp(t + tau, t, rough)
+    assert np.allclose(got[known], want[known], rtol=1e-9, atol=1e-9)
+    line = course(ChannelSkew(tau_s=tau), 3.0 + 40 * t, h)
+    assert np.allclose(line, 3.0 + 40 * (t + tau), rtol=1e-12)

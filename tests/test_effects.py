@@ -20,7 +20,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from hydrojax.effects import EFFECTS
-from hydrojax.friction import PAST, Friction, Sliding, run_linear
+from hydrojax.friction import Sliding, run_linear
 from hydrojax.hydraulics import Point
 from hydrojax.named import get, parameter_specs, put
 from hydrojax.params import specs
@@ -74,7 +74,7 @@ class Replay:
 
         def replay(rig):
             P = pressures(rig, w, P_0)
-            return readings(rig, w, *P, *friction_memory(rig, motion))
+            return readings(rig, w, *P, friction_memory(rig, motion).within(w))
 
         def both(rig, along):
             self.traces += 1
@@ -98,13 +98,7 @@ ONE_CHAMBER = {"dead_volume.V_01": (0, 2), "dead_volume.V_02": (1, 2)}
 
 @pytest.fixture(scope="module")
 def log(drive):
-    """The synthetic log, with a logged force for what the force stretches."""
-    log = drive()
-    w = log.windows
-    scored = w.t[:, -w.measured.shape[1] :]
-    force = np.zeros(w.measured.shape)
-    force[..., 2] = 30 + 300 * np.sin(2 * np.pi * 19.0 * scored)
-    return log._replace(windows=w._replace(measured=force))
+    return drive()
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +120,7 @@ def replays(log):
 def test_the_synthetic_log_wakes_every_mechanism(rig, log, without):
     """What the tests below rest on: both ways of everything, and mixed friction."""
     w = log.windows
-    z, speed = map(np.asarray, jax.jit(friction_memory)(rig, log.motion))
+    z, speed, _ = map(np.asarray, jax.jit(friction_memory)(rig, log.motion))
     switch = np.asarray(rig.mechanics.switch(speed))
     for signal in (w.u, w.v, z, without[..., 2]):
         assert signal.min() < 0 < signal.max()
@@ -300,34 +294,78 @@ def test_stretch_effect_is_its_formula(name, fields, want):
 # -- friction's lag --
 
 
-def lag_error(tau, hertz):
-    """Of the velocity that friction sees, in a sine of size 1: off its closed form."""
-    omega, quarter, n = 2 * np.pi * hertz, 2.5e-4, 16000
-    t = quarter * np.arange(n + 1)
-    dx = np.diff(-np.cos(omega * t) / omega)
-    keep, add = Friction().past_map(jnp.asarray(dx), quarter)
-    past = run_linear(keep, add, jnp.zeros(len(PAST)))
-    v = np.sin(omega * t[1:])
-    seen = EFFECTS["frictional_lag"](tau_h=tau).seen(v, jnp.moveaxis(past, 0, -1))
-    size, angle = 1 / np.hypot(1, omega * tau), np.arctan(omega * tau)
-    error = np.asarray(seen) - size * np.sin(omega * t[1:] - angle)
-    return np.max(np.abs(error[-4000:]))
+def film_of(tau, speed, h):
+    """The film's speed at every tick, from the speed there."""
+    follow = EFFECTS["frictional_lag"](tau_h=tau).follow
+    speed = jnp.asarray(speed)
+    return np.asarray(run_linear(*follow(speed[:-1], speed[1:], h), speed[0]))
 
 
-@pytest.mark.parametrize("hertz", [0.5, 3.0, 10.0, 30.0])
-def test_frictional_lag_is_a_first_order_lag(hertz):
-    for tau in PAST:
-        assert lag_error(tau, hertz) < 2e-3
-    for tau in np.geomspace(5e-4, 0.28, 9):
-        assert lag_error(tau, hertz) < 0.03
+@pytest.mark.parametrize("tau", [1e-4, 2e-3, 0.08, 0.3])
+def test_the_film_follows_its_equation(tau):
+    """For a speed that runs straight from tick to tick, of uneven length."""
+    rng = np.random.default_rng(2)
+    h = 1e-3 * rng.uniform(0.5, 2.0, 60)
+    t = np.r_[0.0, np.cumsum(h)]
+    speed = np.abs(np.cumsum(rng.normal(0, 2e-3, t.size)))
+    w, want = speed[0], []
+    for i in range(h.size):
+        w = solve_ivp(
+            lambda s, w, i=i: (np.interp(s, t[i : i + 2], speed[i : i + 2]) - w) / tau,
+            (t[i], t[i + 1]),
+            [w],
+            rtol=1e-10,
+            atol=1e-14,
+            method="LSODA",
+        ).y[0, -1]
+        want.append(w)
+    assert np.allclose(film_of(tau, speed, h), want, rtol=0, atol=1e-9)
 
 
-def test_frictional_lag_reaches_all_that_depends_on_speed(rig, log):
-    """In steady motion nothing lags; beyond its range it stays."""
-    v, past = jnp.full(3, 0.02), jnp.full((3, len(PAST)), 0.02)
-    for tau in (0.0, 2e-3, 0.04, 0.3, 5.0):
-        seen = EFFECTS["frictional_lag"](tau_h=tau).seen(v, past)
-        assert np.allclose(seen, 0.02, rtol=1e-12)
+def test_a_film_that_is_not_late_is_the_speed_itself():
+    speed = np.abs(np.random.default_rng(0).normal(0, 0.02, 300))
+    assert np.array_equal(film_of(0.0, speed, np.full(299, 1e-3)), speed[1:])
+
+
+@pytest.mark.parametrize("v", [0.012, 1e-4, -1e-4, -0.02])
+@pytest.mark.parametrize("turn", [-1.0, -0.4, 0.0, 0.7, 1.0])
+def test_all_that_depends_on_speed_sees_the_film(rig, v, turn):
+    """Along the bristle: when the motion turns, friction does not until it does."""
+    film, friction = 9e-3, rig.mechanics
+    at = SLIDING._replace(v=np.float64(v), z=turn * friction.z_ss, lag=film - abs(v))
+    rise = EFFECTS["stribeck"](k_st=80.0, v_s=6e-3)
+    drag = EFFECTS["viscous_friction"](b=700.0)
+    got = float(friction.sliding_force(at, (rise,), (drag,)))
+    seen = v + turn * (film - abs(v))
+    level = (900.0 if turn > 0 else 1200.0) + 80 * np.exp(-((film / 6e-3) ** 2))
+    fall = 3e3 if seen > 0 else -2e3
+    assert got == pytest.approx(turn * level + 100.0 + (700.0 - fall) * seen, rel=1e-12)
+
+
+# -- a rod that gives, in a replay --
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [("rod_compliance", {"give": 6e-8}), ("backlash", {"b": 4e-5, "F_w": 60.0})],
+)
+def test_friction_sees_the_piston(rig, drive, name, fields):
+    """A log whose encoder is the piston itself, moved by hand, gives the same."""
+    effect, log = EFFECTS[name](**fields), drive()
+    soft = jax.jit(friction_memory)(add(rig, [effect]), log.motion)
+    m = log.motion
+    quarters = np.arange(5) / 4
+    F = m.F[:, :-1, None] + quarters * np.diff(m.F, axis=1)[..., None]
+    s = np.asarray(effect.stretch(F))
+    t = np.r_[0.0, np.cumsum(m.h[0])]
+    rate = np.gradient(np.asarray(effect.stretch(m.F)), t, axis=1)
+    moved = m._replace(dx=m.dx + np.diff(s, axis=-1))
+    stiff = jax.jit(friction_memory)(rig, moved)
+    assert np.allclose(soft.z, stiff.z, rtol=0, atol=1e-12)
+    assert np.allclose(soft.speed, stiff.speed, rtol=0, atol=1e-12)
+    assert np.max(np.abs(soft.z - friction_memory(rig, m).z)) > 2e-6
+    off = np.abs(np.asarray(soft.v) - m.v - rate)[:, 1:-1]
+    assert np.max(off) < 0.1 * np.ptp(rate)
 
 
 # -- a rod that gives, in simulation --
@@ -394,6 +432,45 @@ def test_what_stretches_gives_way_as_the_force_rises(rig):
         moved = np.ptp(want[:, 1])
         assert np.max(np.abs(got[:, :2] - want)) < 0.01 * moved
         assert got[0, 2] < -50 and got[-1, 2] > 200
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [("rod_compliance", {"give": 6e-8}), ("backlash", {"b": 5e-5, "F_w": 40.0})],
+)
+def test_force_stretch_and_bristle_agree_while_it_slides(rig, name, fields):
+    """What the rod was solved for is what the plant then puts out, without chatter.
+
+    The bristle is about as stiff as the rod: it cannot lag a step behind.
+    """
+    soft, h, n = add(rig, [EFFECTS[name](**fields)]), 2.5e-4, 1200
+    t = h * jnp.arange(n + 1)
+    x = 2e-3 + 4e-4 * jnp.sin(2 * jnp.pi * 9.0 * t)
+
+    def one(state, i):
+        u = 0.6 * jnp.sin(2 * jnp.pi * 17.0 * t[i])
+        tick = Tick(
+            h=jnp.asarray(h),
+            u=u,
+            P_s=jnp.full(2, 14e6),
+            P_r=jnp.full(2, 0.25e6),
+            x=jnp.stack([x[i], (x[i] + x[i + 1]) / 2, x[i + 1]]),
+            dx=(x[i + 1] - x[i])[None],
+            v=(x[i + 1] - x[i]) / h,
+            a=jnp.zeros(()),
+            t=t[i + 1],
+        )
+        opening = jnp.maximum(u, 0.0), jnp.maximum(-u, 0.0)
+        state = soft.act(state, opening, tick)
+        at = soft.sliding(state, tick)
+        return state, jnp.stack([soft.output_force(at), state.rod[0], at.speed])
+
+    zero = jnp.zeros(())
+    start = soft.init(zero, zero + 7e6, zero + 7.2e6, x[0])
+    F, solved, speed = np.asarray(jax.lax.scan(one, start, jnp.arange(n))[1]).T
+    assert np.ptp(F) > 500 and speed[-1] > 5e-3
+    assert np.max(np.abs(F - solved)) < 0.005 * np.ptp(F)
+    assert np.std(np.diff(F, 4)) < 0.01 * np.ptp(F)
 
 
 # -- what is declared --
@@ -537,7 +614,7 @@ def test_supply_errors_have_their_derivative(full, batch, columns):
             full,
             w,
             *pressures(full, w._replace(P_s=P_s), batch.P_0),
-            *friction_memory(full, batch.motion),
+            friction_memory(full, batch.motion).within(w),
         )
     )
     ticks = w.P_s.shape[1]
@@ -556,5 +633,9 @@ def test_driven_by_logged_pressures_only_friction_has_derivatives(full, batch):
     directions = basis(model, model.names, slots)
     run = jax.jit(lambda values, b: sensitivities(model, values, directions, b, False))
     dy = np.asarray(run(model.values, batch)[1])
-    assert not np.any(dy[: model.hydraulic]) and not np.any(dy[len(model.names) :])
-    assert all(np.any(column) for column in dy[model.hydraulic : len(model.names)])
+    # What stretches moves the piston, and friction with it.
+    moves = tuple(f"{effect.name}." for effect in full.stretch)
+    for i, name in enumerate(model.names):
+        seen = i >= model.hydraulic or name.startswith(moves)
+        assert np.any(dy[i]) == seen, name
+    assert not np.any(dy[len(model.names) :])

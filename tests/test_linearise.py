@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hydrojax.tune import linear, measure, merits, point
+from hydrojax.tune.program import program
 from scipy import linalg, signal
 
 from hydrojax.paper import reference
 from hydrojax.quantities import open_setting, quantities
-from hydrojax.tune import linear, measure, merits, point
-from hydrojax.tune.program import program
 
 SPEC, _ = reference()
 OMEGA, ZETA = 1257.0, 0.7
@@ -72,7 +72,7 @@ def plain_loop(k_p, k_f, friction, delay=1e-3, h=1e-3):
     States: drive force P, spool and its rate, the command before. Both chambers as
     one: at the first order only P moves. `friction` is presliding's slope.
     """
-    beta, area, half = 8.5e8, 1.18e-3, 0.1
+    beta, half = 8.5e8, 0.1
     x_1, x_2 = half + 12e-3, half + 18e-3
     c_p1, c_n1, c_p2, c_n2 = 2.24e-9, 2.15e-9, 2.27e-9, 2.11e-9
     P_s, P_r, P_0 = 14e6, 0.25e6, (14e6 + 0.25e6) / 2

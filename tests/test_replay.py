@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root_scalar
 
+from hydrojax import rod
 from hydrojax.effects import EFFECTS
 from hydrojax.named import get, parameter_specs, put
 from hydrojax.replay import friction_memory, pressures, readings
@@ -24,7 +25,8 @@ def arrays(log):
 def replay(rig, log):
     """What the sensors read, [W, T, 3]."""
     motion, w, P_0 = log
-    return readings(rig, w, *pressures(rig, w, P_0), *friction_memory(rig, motion))
+    past = friction_memory(rig, motion).within(w)
+    return readings(rig, w, *pressures(rig, w, P_0), past)
 
 
 # -- the one step --
@@ -36,7 +38,9 @@ def everything(rig):
     spec = parameter_specs(rig)
     strengths = [name for name, s in spec.items() if s.strength]
     share = np.linspace(0.3, 0.9, len(strengths))
-    return put(rig, strengths, share * [spec[name].scale for name in strengths])
+    rig = put(rig, strengths, share * [spec[name].scale for name in strengths])
+    # Late: what is early a replay knows, and a step has to foresee.
+    return put(rig, ["channel_skew.tau_s"], [-0.4e-3])
 
 
 def by_steps(rig, log):
@@ -44,7 +48,7 @@ def by_steps(rig, log):
     motion, w, P_0 = log
     ticks = w.u.shape[1]
     P = pressures(rig, w, P_0)
-    z, speed = friction_memory(rig, motion)
+    past = friction_memory(rig, motion)
     silent = eqx.tree_at(
         lambda r: [r.sensor_P, r.sensor_F],
         rig,
@@ -52,7 +56,7 @@ def by_steps(rig, log):
         is_leaf=lambda part: isinstance(part, tuple),
     )
     unscored = w._replace(measured=jnp.zeros((len(P_0), ticks, 3)))
-    true = readings(silent, unscored, *P, z, speed)
+    true = readings(silent, unscored, *P, past.within(w))
 
     def sensors(channels, y):
         return rig.sense_init(channels, y[:, 0], (y[:, 1] - y[:, 0]) / w.h[:, 0])[0]
@@ -65,11 +69,12 @@ def by_steps(rig, log):
     state = State(
         command=memory,
         P=(P_0[:, 0], P_0[:, 1]),
-        z=z[w.seg, w.first],
-        speed=speed[w.seg, w.first],
+        z=past.z[w.seg, w.first],
+        speed=past.speed[w.seg, w.first],
         sensor_P=tuple(sensors(rig.sensor_P, true[..., i]) for i in range(2)),
         sensor_F=sensors(rig.sensor_F, true[..., 2]),
     )
+    index = w.seg[:, None], w.first[:, None] + jnp.arange(1, ticks)
     along = Tick(
         h=w.h[:, :-1],
         u=w.u[:, :-1],
@@ -80,6 +85,8 @@ def by_steps(rig, log):
         v=w.v[:, 1:],
         a=w.a[:, 1:],
         t=w.t[:, 1:],
+        F=jnp.stack([w.F[:, :-1], w.F[:, 1:]], axis=-1),
+        F_rate=rod.rate(motion.F, motion.h)[index],
     )
     along = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), along)
     _, signals = jax.lax.scan(lambda s, tick: rig.step(s, tick), state, along)
@@ -207,7 +214,7 @@ def output_force(P, f_c, L, k_fp=0.7, k_fn=0.6, delta=1 / 900):
 def forces(rig, log, drive_force):
     """F at the scored ticks by (1)-(7), (16), (22); the drive force from the log."""
     motion, w, _ = arrays(log)
-    z, speed = map(np.asarray, jax.jit(friction_memory)(rig, motion))
+    z, speed, _ = map(np.asarray, jax.jit(friction_memory)(rig, motion))
     windows, ticks, _ = log.windows.measured.shape
     out = np.zeros((windows, ticks))
     lead = log.windows.x.shape[1] - ticks
@@ -239,8 +246,8 @@ def test_force_from_given_pressures(reference, drive, layout, geometry, drive_fo
         w = w._replace(P_a1=0 * w.P_a1, P_a2=(w.P_a2 - 6e6) / 1e3)
         log = log._replace(windows=w)
     motion, w, _ = arrays(log)
-    memory = jax.jit(friction_memory)(rig, motion)
-    got = jax.jit(readings)(rig, w, w.P_a1, w.P_a2, *memory)
+    past = jax.jit(friction_memory)(rig, motion).within(w)
+    got = jax.jit(readings)(rig, w, w.P_a1, w.P_a2, past)
     want = forces(rig, log, drive_force)
     assert np.allclose(got[..., 2], want, rtol=1e-9, atol=1e-6)
     lead = w.x.shape[1] - w.scored

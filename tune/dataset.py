@@ -28,7 +28,7 @@ LIKELY = 0.05
 
 
 def dataset(plan: Plan, found: Mapping[str, Mapping[str, np.ndarray]]) -> xr.Dataset:
-    """All that was found, `linear_within_1dB`, `multisine_rms_error`, …
+    """All that was found: `linear_within_1dB`, `multisine_rms_error` and the like.
 
     With plants, a name ending in `_95` is what 95 % of them reach: an unstable one
     reaches no bandwidth. Responses are in dB and degrees, over frequencies of their
@@ -86,7 +86,11 @@ def _add(
     data[f"{method}_phase"] = ((*dims, over), angle.astype("f4"), {"units": "deg"})
     if not is_linear:
         table = values["coherence"].reshape(*plan.shape, -1)
-        data[f"{method}_coherence"] = ((*dims, over), table.astype("f4"), {"units": "1"})
+        data[f"{method}_coherence"] = (
+            (*dims, over),
+            table.astype("f4"),
+            {"units": "1"},
+        )
 
 
 def save_dataset(data: xr.Dataset, path: Path) -> None:
@@ -95,6 +99,3 @@ def save_dataset(data: xr.Dataset, path: Path) -> None:
         draft = Path(folder) / path.name
         data.to_netcdf(draft, engine="h5netcdf")
         os.replace(draft, path)
-
-
-

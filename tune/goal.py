@@ -110,7 +110,8 @@ class Goal:
         self.names, self.values = plants.names, np.asarray(plants.values)
         self.hertz = jnp.asarray(merits.grid(float(1 / setting.loop.h)))
         self.course = moving(setting)
-        still = point.still(setting)
+        stack = jax.vmap(lambda v: self._at(setting, None, v))
+        still = point.still(stack(jnp.asarray(self.values)))
         self.settle = 0 if still else round(point.SETTLE / float(setting.loop.h))
         # Nowhere 0, so that what a gain of 0 would leave out is among the states.
         gains = jnp.asarray(np.maximum(1.01 * self.here(), 1e-4))
@@ -123,7 +124,7 @@ class Goal:
         self._run = jax.jit(self._tracking)
         self._run_slope = jax.jit(jax.jacfwd(self._tracking))
         self.before: dict[str, np.ndarray] = {}
-        self.before = self.look(self.here())
+        self.before = self.look(None)
 
     def relaxed(
         self,
@@ -148,11 +149,12 @@ class Goal:
     def at(self, gains: Any, plant: int = 0) -> Setting:
         """The setting of one plant with these gains."""
         values = jnp.asarray(self.values[plant])
-        return self._at(self.setting, jnp.asarray(gains), values)
+        given = None if gains is None else jnp.asarray(gains)
+        return self._at(self.setting, given, values)
 
-    def look(self, gains: np.ndarray) -> dict[str, np.ndarray]:
-        """All merits of all plants, [m, ...], and their `rms`, N."""
-        given, g = self._given(), jnp.asarray(gains)
+    def look(self, gains: np.ndarray | None) -> dict[str, np.ndarray]:
+        """All merits of all plants, [m, ...], and their `rms`, N; None: as it is."""
+        given, g = self._given(), None if gains is None else jnp.asarray(gains)
         found = self._linear(g, given)
         rms = self._run(g, given)
         return {n: np.asarray(v) for n, v in found.items()} | {"rms": np.asarray(rms)}
@@ -162,7 +164,7 @@ class Goal:
         return np.asarray(jax.jit(self._tracking)(jnp.asarray(gains), self._given()))
 
     def scores(self, gains: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-        """log bandwidth and constraints `KEEPS` (kept where >= 0), [7]; slopes; stable.
+        """Log bandwidth and constraints `KEEPS` (kept where >= 0), [7]; slopes; stable.
 
         Slopes are per unit of each gain, [7, len(gains)].
         """
@@ -186,10 +188,10 @@ class Goal:
             self.setting, jnp.asarray(self.values), jnp.array(limits), jnp.asarray(low)
         )
 
-    def _at(self, setting: Setting, gains: Array, plant: Array) -> Setting:
+    def _at(self, setting: Setting, gains: Array | None, plant: Array) -> Setting:
         rig = put(setting.loop.rig, self.names, plant)
         s = eqx.tree_at(lambda q: q.loop.rig, setting, rig)
-        for i, quantity in enumerate(self.free):
+        for i, quantity in enumerate(self.free if gains is not None else ()):
             s = quantity.put(s, gains[i])
         return s
 
@@ -200,7 +202,7 @@ class Goal:
         system = self._system(s, self.states)
         return linear.response(system, self.hertz), system
 
-    def _all(self, gains: Array, given: _Given) -> dict[str, Array]:
+    def _all(self, gains: Array | None, given: _Given) -> dict[str, Array]:
         def one(plant):
             H, system = self._answer(self._at(given.setting, gains, plant))
             low = jnp.interp(LOW_HZ, self.hertz, merits.dB(H[:, 1, 1]))
@@ -209,10 +211,8 @@ class Goal:
 
         return jax.vmap(one)(given.plants)
 
-    def _scores(
-        self, gains: Array, given: _Given
-    ) -> tuple[Array, tuple[Array, Array]]:
-        """Bandwidth (log) and all constraints but tracking; the same, and the radius."""
+    def _scores(self, gains: Array, given: _Given) -> tuple[Array, tuple[Array, Array]]:
+        """Log bandwidth, all constraints but tracking; the same, and the radius."""
         most, peak, sensitivity, noise, push = given.limits
         u_max = given.setting.loop.law.u_max
 
@@ -243,7 +243,7 @@ class Goal:
         ])  # fmt: skip
         return scores, (scores, jnp.max(radius))
 
-    def _tracking(self, gains: Array, given: _Given) -> Array:
+    def _tracking(self, gains: Array | None, given: _Given) -> Array:
         """RMS of F_d - F of each plant with the joint moving, [m], N."""
         course = self.course._replace(
             P_s=jnp.full_like(self.course.P_s, given.setting.P_s)

@@ -1,4 +1,4 @@
-"""Maps of a sweep: contours over two quantities, lines over one, Bode plots of cells."""
+"""Maps of a sweep: contours over two quantities, lines over one, Bode plots."""
 
 from __future__ import annotations
 
@@ -81,14 +81,20 @@ def map_figure(
     measured = next((m for m in ways if m != "linear"), None)
     compare = quantity != "radius" and "linear" in ways and measured is not None
     panels = len(ways) + bool(compare)
-    fig = Figure(figsize=(4.3 * panels + 2.2 * (panels == 1), 4.8), layout="constrained")
+    fig = Figure(
+        figsize=(4.3 * panels + 2.2 * (panels == 1), 4.8), layout="constrained"
+    )
     grid = fig.subplots(1, panels, squeeze=False)[0]
     tables = {}
     for m in ways:
         name = f"{m}_{quantity}{suffix}"
         source = near_rig(whole, [x, y]) if suffix and name in whole else data
-        tables[m] = source[name if name in source else f"{m}_{quantity}"].transpose(y, x)
-    top = np.nanpercentile(np.concatenate([t.values.ravel() for t in tables.values()]), 99)
+        tables[m] = source[name if name in source else f"{m}_{quantity}"].transpose(
+            y, x
+        )
+    top = np.nanpercentile(
+        np.concatenate([t.values.ravel() for t in tables.values()]), 99
+    )
     low = min(0.0, float(np.nanmin([np.nanmin(t) for t in tables.values()])))
     levels = _levels(low, float(top))
     for ax, m in zip(grid, ways, strict=False):
@@ -161,8 +167,8 @@ def _disagreement(
                        linewidths=1.2, linestyles="--")  # fmt: skip
     ax.clabel(lines, fmt="10 %%", fontsize=7)
     fig.colorbar(drawn, ax=ax, label="measured over linearised (%)", shrink=0.9)
-    ax.set_title(f"where they disagree (at {data.attrs['amplitude']:g} N)"
-                 if "amplitude" not in (x, y) else "where they disagree", fontsize=10)  # fmt: skip
+    at = "" if "amplitude" in (x, y) else f" (at {data.attrs['amplitude']:g} N)"
+    ax.set_title(f"where they disagree{at}", fontsize=10)
     _marks(ax, data, x, y)
 
 
@@ -205,7 +211,9 @@ def line_figure(data: xr.Dataset) -> Figure:
         if _is_log(data[x].values):
             ax.set_xscale("log")
         ax.grid(alpha=0.3)
-    fig.axes[0].legend(fontsize=8)
+    lines, names = fig.axes[0].get_legend_handles_labels()
+    fig.legend(lines, names, loc="outside lower center", ncols=len(lines), fontsize=8,
+               frameon=False)  # fmt: skip
     fig.suptitle(f"{data.attrs['rig']}: over {x}", fontsize=11)
     return fig
 
@@ -231,7 +239,9 @@ def chosen_cells(data: xr.Dataset) -> dict[str, dict[str, int]]:
     return out
 
 
-def bode_figure(data: xr.Dataset, cells: dict[str, dict[str, int]] | None = None) -> Figure:
+def bode_figure(
+    data: xr.Dataset, cells: dict[str, dict[str, int]] | None = None
+) -> Figure:
     """Gain and phase of chosen cells by every way, with the plants' band.
 
     Args:

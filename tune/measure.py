@@ -183,7 +183,7 @@ def measure(
     loop = setting.loop
     shut = [loop.rig.force_area_1 > 0, loop.rig.force_area_2 > 0]
     left = [
-        s & ~((P > setting.P_r) & (P < setting.P_s))
+        s & ~((setting.P_r < P) & (setting.P_s > P))
         for s, P in zip(shut, (P_1, P_2), strict=True)
     ]
     found = {

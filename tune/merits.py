@@ -74,9 +74,7 @@ def soft_inside(H: Array, most: float | Array, width: float) -> Array:
     return jnp.exp(jnp.cumsum(-jnp.logaddexp(0.0, -inside)))
 
 
-def soft_within(
-    hertz: Array, H: Array, most: float = 1.0, width: float = 0.1
-) -> Array:
+def soft_within(hertz: Array, H: Array, most: float = 1.0, width: float = 0.1) -> Array:
     """`within` as a smooth function, for descent by its gradient, Hz.
 
     The steps of the grid up to which all before are inside, each by how well it is;

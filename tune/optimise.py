@@ -35,6 +35,11 @@ class Found:
     starts: tuple[float, ...]
 
     @property
+    def kept(self) -> bool:
+        """Whether nothing is broken."""
+        return min(self.slack.values()) > -TIGHT
+
+    @property
     def holds(self) -> tuple[str, ...]:
         """Constraints that stand at their end."""
         return tuple(n for n, s in self.slack.items() if s < TIGHT)
@@ -64,14 +69,14 @@ def tune(
     first = here if begin is None else np.maximum(begin, 1e-9 * here)
     rng = np.random.default_rng([seed, 31])
     tries = [first] + [
-        here * np.exp(rng.uniform(-np.log(3), np.log(3), here.size))
+        here * np.exp(rng.uniform(-np.log(10), np.log(3), here.size))
         for _ in range(starts - 1)
     ]
     ends: list[Found] = []
     for i, x in enumerate(tries):
         tell(f"descent {i + 1} of {len(tries)}")
         ends.append(_descend(goal, here, _stable(goal, x)))
-    kept = [e for e in ends if min(e.slack.values()) > -TIGHT]
+    kept = [e for e in ends if e.kept]
     best = (
         max(kept, key=lambda e: e.log_band)
         if kept
@@ -122,12 +127,12 @@ def _descend(goal: Goal, here: np.ndarray, x: np.ndarray) -> Found:
     # The last point may be one of the line search; take the best that was looked at.
     best = max(
         seen.items(),
-        key=lambda item: item[1][0][0] + 20 * min(0.0, item[1][0][1:].min() + TIGHT / 2),
+        key=lambda item: (
+            item[1][0][0] + 20 * min(0.0, item[1][0][1:].min() + TIGHT / 2)
+        ),
     )
     y = np.frombuffer(best[0]) if best else done.x
     value = best[1][0]
-    names = ("peak", "sensitivity", "noise", "push", "tracking", "rejection")
-    assert names == KEEPS
     return Found(
         here * np.exp(y), float(value[0]),
         dict(zip(KEEPS, map(float, value[1:]), strict=True)), (),

@@ -158,7 +158,7 @@ def what_limits(
         tell(f"what limits it: {what}")
         other = optimise.tune(case, 1, begin=found.gains)
         band = least(case.look(other.gains)["within_1dB"])
-        if min(other.slack.values()) < -optimise.TIGHT:
+        if not other.kept:
             # The descent came to nothing: what the same gains give is a lower bound.
             band = max(base, least(case.look(found.gains)["within_1dB"]))
         out.append(Relaxed(what, band, band / base - 1 if base else np.nan))

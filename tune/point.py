@@ -1,10 +1,12 @@
 """Where a loop is looked at: its operating point, with the adaptation stopped there.
 
-At rest the point is the desired force on the output, the valve shut. Where the piston
-is moved at a constant speed, or a load has to settle, it is where a slow loop stands
-after `SETTLE` seconds that end at `x`: the place goes on changing from there, so the
-point holds for motions that are short beside the chambers. The slow loop has gains of
-its own, so that the point is the same for all gains, those of an unstable loop too.
+At rest the point is the force F_0 on the output, the valve shut. Where the piston is
+moved at a constant speed, a load has to settle, or a leak asks for flow, it is where a
+slow loop that has brought the force to F_0 stands after `SETTLE` seconds, at `x`: the
+place goes on changing from there, so the point holds for motions that are short beside
+the chambers. The slow loop has gains of its own, so that the point is the same for all
+gains, those of an unstable loop too. A law without integral action that has a leak to
+feed runs at a force of its own instead: there what is measured is beside this point.
 
 The estimates that are adapted stand at the plant's own values, or at the bound next to
 them (`adapted`), or where the law starts them, midway between their bounds.
@@ -28,6 +30,13 @@ from ..simulation import PARTS
 SETTLE = 0.8
 """Seconds in which a point that has to be found is settled: five time constants of
 the reference load, eight of L(t)'s filter."""
+
+DRIFT = 1.0
+"""Change of a pressure within a sample (Pa) below which a point is at rest."""
+
+LEVEL = 10.0
+"""Rate (1/s) at which the settling loop brings the force itself to F_0: leakage or a
+bias would leave it somewhere else, and the gains would say where."""
 
 SLOW = 60.0
 """Bandwidth (rad/s) of the loop that settles."""
@@ -73,9 +82,7 @@ def course(setting: Setting, F_d: Array, noise: Array, t: Array) -> Course:
     n = t.shape[0]
     v = jnp.broadcast_to(setting.v, (n, PARTS))
     road = Road(setting.x + setting.v * halves, v, jnp.zeros_like(v))
-    P_s, P_r = (
-        jnp.broadcast_to(p, (n, 2)) for p in (setting.P_s, setting.P_r)
-    )
+    P_s, P_r = (jnp.broadcast_to(p, (n, 2)) for p in (setting.P_s, setting.P_r))
     return Course(t, F_d, noise, P_s, P_r, road)
 
 
@@ -84,12 +91,31 @@ def at(given: Course, k: int | Array) -> Course:
     return jax.tree.map(lambda a: a[k], given)
 
 
-def still(setting: Setting) -> bool:
-    """Whether the point needs no settling, for a setting or a stack of them."""
-    rest = bool(jnp.all(setting.v == 0))
-    return rest and (
-        isinstance(setting.loop.load, Driven) or bool(jnp.all(setting.F_0 == 0))
-    )
+def still(settings: Setting) -> bool:
+    """Whether the points of some settings, stacked [m, ...], need no settling.
+
+    At rest they need none if nothing moves from where `start` puts it: leakage, a
+    valve's bias or an estimate that is off make it move.
+    """
+    if bool(jnp.any(settings.v != 0)):
+        return False
+    if not isinstance(settings.loop.load, Driven) and bool(jnp.any(settings.F_0 != 0)):
+        return False
+
+    def drift(s: Setting) -> Array:
+        carry = start(s)
+        one = course(s, s.F_0[None], jnp.zeros((1, 4)), jnp.zeros(1))
+        after = step(_slow(s.loop), carry, at(one, 0))[0]
+        off = [b - a for a, b in zip(carry.plant.P, after.plant.P, strict=True)]
+        return jnp.max(jnp.abs(jnp.stack(off)))
+
+    return bool(jnp.all(jax.jit(jax.vmap(drift))(settings) < DRIFT))
+
+
+def _slow(loop: Loop) -> Loop:
+    """The loop that settles: its adaptation stopped, its gains its own."""
+    slow = SLOW / loop.rig.chambers.beta / 2
+    return eqx.tree_at(lambda lo: (lo.law.k_p, lo.law.k_f), frozen(loop), (slow, slow))
 
 
 def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
@@ -105,26 +131,27 @@ def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
     t = (jnp.arange(n) - settle) * loop.h
     given = course(setting, jnp.broadcast_to(setting.F_0, (n,)), jnp.zeros((n, 4)), t)
     law = loop.law
-    slow = SLOW / loop.rig.chambers.beta / 2
-    loop = eqx.tree_at(
-        lambda lo: (lo.law.k_p, lo.law.k_f), frozen(loop), (slow, slow)
-    )
+    loop = _slow(loop)
     carry = begin(loop, given)
     believed = estimates(setting.loop, adapted)
     P_d = law.desired(believed, carry.law.z, carry.law.v, carry.law.speed, given.F_d[0])
     memory = carry.law._replace(estimates=believed, P_d=P_d[0])
     # The environment may be moving from the first sample on.
     memory = memory._replace(v=setting.v, speed=jnp.abs(setting.v))
-    plant = carry.plant._replace(
-        speed=carry.plant.speed + jnp.abs(setting.v)
-    )
+    plant = carry.plant._replace(speed=carry.plant.speed + jnp.abs(setting.v))
     carry = carry._replace(
         law=memory, plant=plant, motion=carry.motion._replace(v=setting.v)
     )
     if not settle:
         return carry
 
-    def body(c, tick):
-        return step(loop, c, tick)[0], None
+    def body(state, tick):
+        c, off = state
+        c = step(loop, c, tick._replace(F_d=tick.F_d + off))[0]
+        return (c, off + loop.h * LEVEL * (setting.F_0 - c.F)), None
 
-    return jax.lax.scan(body, carry, given)[0]
+    carry, _ = jax.lax.scan(body, (carry, jnp.zeros_like(setting.F_0)), given)[0]
+    memory = carry.law
+    P_d = law.desired(believed, memory.z, memory.v, memory.speed, setting.F_0)[0]
+    memory = memory._replace(P_d=P_d, P_d_rate=jnp.zeros_like(P_d))
+    return carry._replace(law=memory)

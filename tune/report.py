@@ -50,7 +50,9 @@ def table(t: Tuned) -> list[tuple[str, ...]]:
         for found in (t.before, t.after):
             values = np.asarray(found[name]) * factor
             cells.append(show(values[0], unit))
-            cells.append(show(worst(values) if np.all(np.isfinite(values)) else None, unit))
+            cells.append(
+                show(worst(values) if np.all(np.isfinite(values)) else None, unit)
+            )
         out.append((title, *cells))
     return out
 
@@ -87,7 +89,10 @@ def bode_figure(t: Tuned) -> Figure:
     """Gain and phase before and after, with the ensemble's range."""
     fig = Figure(figsize=(8.0, 6.2), layout="constrained")
     top, bottom = fig.subplots(2, 1, sharex=True)
-    for found, colour, label in ((t.before, _BEFORE, "before"), (t.after, _AFTER, "after")):
+    for found, colour, label in (
+        (t.before, _BEFORE, "before"),
+        (t.after, _AFTER, "after"),
+    ):
         stable = np.asarray(found["radius"]) < 1
         H = np.asarray(found["response"])
         dB = 20 * np.log10(np.maximum(np.abs(H), 1e-9))
@@ -95,8 +100,8 @@ def bode_figure(t: Tuned) -> Figure:
         for ax, y in ((top, dB), (bottom, angle)):
             if stable.sum() > 1:
                 y_s = y[stable]
-                ax.fill_between(t.hertz, y_s.min(0), y_s.max(0), color=colour, alpha=0.18,
-                                lw=0)  # fmt: skip
+                ends = y_s.min(0), y_s.max(0)
+                ax.fill_between(t.hertz, *ends, color=colour, alpha=0.18, lw=0)
             ax.plot(t.hertz, y[0], color=colour, label=label)
         if stable[0]:
             top.axvline(float(found["within_1dB"][0]), color=colour, lw=0.8, ls="--")
@@ -166,7 +171,11 @@ def write(t: Tuned, rig: Path, out: Path) -> None:
             (draft / f"{name}.png").write_bytes(store.getvalue())
             data = base64.b64encode(store.getvalue()).decode("ascii")
             shown.append(
-                {"data": f"data:image/png;base64,{data}", "alt": alt, "caption": caption}
+                {
+                    "data": f"data:image/png;base64,{data}",
+                    "alt": alt,
+                    "caption": caption,
+                }
             )
         text = json.dumps(t.json(), indent=1, allow_nan=False)
         (draft / "tune.json").write_text(text + "\n")
@@ -182,24 +191,24 @@ def write(t: Tuned, rig: Path, out: Path) -> None:
             encoding="utf-8",
         )  # fmt: skip
         for path in draft.iterdir():
-            os.replace(path, out / path.name) if path.is_file() else shutil.move(path, out)
+            os.replace(path, out / path.name) if path.is_file() else shutil.move(
+                path, out
+            )
 
 
-def with_gains(
-    rig: Path, gains: Mapping[str, float], units: Mapping[str, str]
-) -> str:
+def with_gains(rig: Path, gains: Mapping[str, float], units: Mapping[str, str]) -> str:
     """A rig file's text with other gains, all else, comments too, as it was."""
     text = tomlkit.parse(rig.read_text(encoding="utf-8-sig"))
     controller = text.setdefault("controller", tomlkit.table())
     for name, value in gains.items():
         unit = "" if units[name] == "1" else f" {units[name]}"
         written = f"{value:.6g}{unit}"
-        key, _, end = name.rpartition("_")
+        key, _, end = name.removesuffix("_hat").rpartition("_")
         if end in ("lower", "upper"):
             both = controller.get(key, [written, written])
             both = list(both) if isinstance(both, list) else [both, both]
             both[end == "upper"] = written
             controller[key] = both
         else:
-            controller[name] = written
+            controller[name.removesuffix("_hat")] = written
     return tomlkit.dumps(text)

@@ -29,7 +29,7 @@ MEMORY = 256e6
 """Bytes that a chunk's signals may take."""
 
 Tell = Callable[[int, int], None]
-"""Hears how many cells are done, of how many."""
+"""Hears of done cells, of how many."""
 
 
 @dataclass(frozen=True)
@@ -89,12 +89,19 @@ class Plan:
         seen = hashlib.sha256()
         for leaf in jax.tree.leaves((self.setting, self.table())):
             seen.update(np.asarray(leaf).tobytes())
-        for e in self.excitations.values():
-            seen.update(e.shape.tobytes() + e.noise.tobytes())
         words = (str(jax.tree.structure(self.setting)), self.frozen, self.shape)
         words += tuple(a.name for a in self.axes)
         seen.update(repr(words).encode())
         return seen.hexdigest()[:16]
+
+
+def _tag(plan: Plan, method: str) -> str:
+    """What a chunk of a method is called, but for its number."""
+    size, given = chunk_size(plan, method), plan.excitations.get(method)
+    if given is None:
+        return f"{method}-{size}"
+    seen = hashlib.sha256(given.shape.tobytes() + given.noise.tobytes())
+    return f"{method}-{size}-{seen.hexdigest()[:8]}"
 
 
 def prepare(plan: Plan) -> Plan:
@@ -119,12 +126,10 @@ class _Work:
 
     def __init__(self, plan: Plan):
         self.plan = plan
-        rows = plan.table()
-        self.rows = rows
-        some = jax.vmap(plan.at)(jnp.asarray(_corners(rows)))
-        quiet = point.still(some)
+        self.rows = plan.table()
+        some = jax.vmap(plan.at)(jnp.asarray(_corners(self.rows)))
         rate = float(jnp.max(1 / some.loop.h))
-        self.settle = 0 if quiet else round(point.SETTLE * rate)
+        self.settle = 0 if point.still(some) else round(point.SETTLE * rate)
         self.hertz = merits.grid(float(jnp.min(1 / some.loop.h)))
         if "linear" in plan.methods:
             self.linear = self._linear(some)
@@ -234,18 +239,18 @@ def run(plan: Plan, folder: Path | None = None, tell: Tell | None = None) -> xr.
 
     for method in plan.methods:
         parts: dict[int, dict[str, np.ndarray]] = {}
-        size = chunk_size(plan, method)
+        size, tag = chunk_size(plan, method), _tag(plan, method)
         for i in range(-(-count // size)):
-            kept = _read(folder, method, i, size)
+            kept = _read(folder, tag, i)
             if kept is not None:
                 parts[i] = kept
                 tell_more(len(next(iter(kept.values()))))
         if len(parts) * size < count:
             work = work or _Work(plan)
 
-            def save(i, out, parts=parts, method=method, size=size):
+            def save(i, out, parts=parts, tag=tag):
                 parts[i] = out
-                _write(folder, method, i, size, out)
+                _write(folder, tag, i, out)
 
             work.run(method, save, set(parts), tell_more)
         found[method] = {
@@ -271,23 +276,25 @@ def _claim(folder: Path, key: str) -> None:
     mark.write_text(json.dumps({"key": key}) + "\n")
 
 
-def _part(folder: Path, method: str, i: int, size: int) -> Path:
-    return folder / "parts" / f"{method}-{size}-{i:05d}.npz"
+def _part(folder: Path, tag: str, i: int) -> Path:
+    return folder / "parts" / f"{tag}-{i:05d}.npz"
 
 
-def _read(folder: Path | None, method: str, i: int, size: int) -> dict | None:
-    if folder is None or not _part(folder, method, i, size).exists():
+def _read(folder: Path | None, tag: str, i: int) -> dict | None:
+    if folder is None or not _part(folder, tag, i).exists():
         return None
-    with np.load(_part(folder, method, i, size)) as file:
+    with np.load(_part(folder, tag, i)) as file:
         return dict(file)
 
 
-def _write(folder: Path | None, method: str, i: int, size: int, out: dict) -> None:
+def _write(folder: Path | None, tag: str, i: int, out: dict) -> None:
     """A chunk, whole or not at all."""
     if folder is None:
         return
-    path = _part(folder, method, i, size)
+    path = _part(folder, tag, i)
     path.parent.mkdir(exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".draft", delete=False) as f:
-        np.savez(f, **out)
-    os.replace(f.name, path)
+    with tempfile.NamedTemporaryFile(
+        dir=path.parent, suffix=".draft", delete=False
+    ) as file:
+        np.savez(file, **out)
+    os.replace(file.name, path)

@@ -13,7 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..build import load_rig, make_effects, make_rig
+from ..controller import KEYS
 from ..errors import InputError
+from ..load import Inertia
 from ..named import parameter_specs, put
 from ..quantities import Quantity, Setting, find, open_setting, quantities
 from ..rigfile import RigSpec
@@ -29,7 +31,7 @@ PLANTS = 8
 def tune(
     source: Path,
     rig: Path | None = None,
-    free: Sequence[str] = outcome.FREE,
+    free: Sequence[str] = (),
     at: Sequence[str] = (),
     adaptation: bool = False,
     count: int = PLANTS,
@@ -43,7 +45,8 @@ def tune(
     Args:
         source: a rig file, or a folder with `report.json`.
         rig: the rig file of such a folder that holds no `rig.toml`.
-        free: gains to tune.
+        free: gains to tune; `outcome.FREE` if none, and `A_a` where a load moves:
+            how much of the velocity is fed forward damps it, or drives it.
         at: `name=value` words: the operating point.
         adaptation: whether rates and bounds of the adaptation are tuned after them.
         count: of the ensemble's plants.
@@ -72,17 +75,20 @@ def tune(
         quantity = find(known, name.strip(), f"--at {word!r}")
         value = quantity.number(text.strip(), f"--at {word!r}")
         setting = quantity.put(setting, value)
-    chosen = [find(known, name, "--free") for name in free]
+    free = tuple(free) or _default_free(setting)
+    chosen = [_gain(known, name) for name in free]
     plants = make_plants(setting, count, spread, folder if _fitted(report) else None)
     plants = plants or axes.ensemble(setting, 1)
     limits = limits or Limits()
     tell("compile the loop")
     goal = Goal(setting, chosen, outcome.widen(setting, plants), limits)
-    found = optimise.tune(goal, starts, tell=tell)
+    found, dropped = _found(goal, starts, tell)
     gains = dict(zip(free, map(float, found.gains), strict=True))
     start = {q.name: float(q.get(setting)) for q in chosen}
     units = {q.name: q.unit for q in chosen}
     after = goal.look(found.gains)
+    if dropped:
+        goal = goal.relaxed(limits=_loose(goal.limits))
     relaxed = outcome.what_limits(goal, found, tell)
     more = _adaptable(known, setting) if adaptation else []
     if more:
@@ -98,9 +104,49 @@ def tune(
         promises = _promises(spec, named, goal, found, start, chosen, plants, after)
     tuned = outcome.Tuned(
         spec.name, gains, units, start, goal.before, after, np.asarray(goal.hertz),
-        found, relaxed, plants.says, limits, promises, _notes(goal, after),
+        found, relaxed, plants.says, goal.limits, promises,
+        (*dropped, *_notes(goal, after)),
     )  # fmt: skip
     return tuned, path
+
+
+def _loose(limits: Limits) -> Limits:
+    return replace(limits, tracking=1e3, rejection=1e-2)
+
+
+def _found(
+    goal: Goal, starts: int, tell: Callable[[str], None]
+) -> tuple[optimise.Found, tuple[str, ...]]:
+    """The gains, and what had to be given up for there to be any."""
+    found = optimise.tune(goal, starts, tell=tell)
+    if found.kept:
+        return found, ()
+    free = goal.relaxed(limits=_loose(goal.limits))
+    other = optimise.tune(free, starts, tell=tell, begin=0.3 * goal.here())
+    if min(other.slack.values()) <= min(found.slack.values()):
+        return found, ()
+    return other, (
+        "No gains keep the peak and the margins and also track and reject as was "
+        "asked: tracking and rejection were given up.",
+    )
+
+
+def _default_free(setting: Setting) -> tuple[str, ...]:
+    moves = isinstance(setting.loop.load, Inertia)
+    return (*outcome.FREE, "A_a") if moves else outcome.FREE
+
+
+def _gain(known: dict[str, Quantity], name: str) -> Quantity:
+    """A quantity that a controller can be given."""
+    quantity = find(known, name, "--free")
+    key = name
+    for end in ("_hat", "_lower", "_upper"):
+        key = key.removesuffix(end)
+    if key not in KEYS or (quantity.reach is None) or name == "rate":
+        raise InputError(
+            f"--free {name}: is no gain of the law; name k_p, k_f, k_1, tau_d, A_a …"
+        )
+    return quantity
 
 
 def _rig_file(source: Path, rig: Path | None) -> Path:
@@ -170,7 +216,7 @@ def _promises(
     )
     effects = make_effects(old_spec.effects, old_spec, (-0.1, 0.1))
     rig = make_rig(old_spec, effects)
-    here = goal.at(goal.here())
+    here = goal.at(None)
     values = parameter_specs(rig)
     from ..named import get
 
@@ -198,9 +244,21 @@ def _notes(goal: Goal, after: dict[str, np.ndarray]) -> tuple[str, ...]:
     rms = goal.before["rms"]
     if np.max(rms) > 5 * rms[0]:
         notes.append(
-            f"With the gains before, tracking on one plant is {np.max(rms):.0f} N while "
-            f"the rig's own is {rms[0]:.1f} N: with the joint moving its loop is at or "
+            f"With the gains before, tracking on one plant is {np.max(rms):.0f} N, "
+            f"the rig's own {rms[0]:.1f} N: with the joint moving its loop is at or "
             "beyond the edge, which a linearised loop at rest does not show."
+        )
+    load = goal.setting.loop.load
+    if isinstance(load, Inertia) and float(load.stiffness) > 0:
+        at = float(jnp.sqrt(load.stiffness / load.mass)) / 2 / np.pi
+        was, now = (
+            20 * np.log10(np.interp(at, goal.hertz, np.abs(f["response"][0])))
+            for f in (goal.before, after)
+        )
+        notes.append(
+            f"At {at:.1f} Hz, the load's own frequency, it moves under next to no "
+            f"force: |F/F_d| is {was:.1f} dB before and {now:.1f} dB after. No gain of "
+            "this law fills that; more damping of the load does."
         )
     if not float(jnp.sum(goal.setting.loop.sensors.F)):
         notes.append("The rig file gives no noise of F: noise limits nothing here.")

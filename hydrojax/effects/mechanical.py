@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..friction import PAST, Sliding
+from ..friction import Sliding
 from ..params import Effect, param
 
 
@@ -129,18 +129,12 @@ class BristleDamping(FrictionForce):
         return self.sigma_1 * at.z_rate
 
 
-def _squeeze(tau):
-    """Time constants [0, inf) laid on [0, 1), where a lag is nearly a polynomial."""
-    return tau / (tau + 0.03)
-
-
 class FrictionalLag(Effect):
-    """Friction that follows the speed with a lag (F4), as the oil film's thickness.
+    """Friction that follows the speed with a lag (F4), as an oil film's thickness.
 
-    All of f_c that depends on speed (k_v, Stribeck, viscous) sees the velocity through
-    a first-order lag of `tau_h`; the bristle does not. The lag depends on motion alone,
-    long before a window begins, so it is run once over a log for the time constants
-    `friction.PAST` and interpolated between them: within 3 % of amplitude up to 30 Hz.
+    All of f_c that depends on speed (k_v, Stribeck, viscous) sees the film, whose speed
+    follows `abs(v)` with `tau_h`; the bristle does not. The film depends on motion
+    alone, long before a window begins, so it is run once over a whole log.
     """
 
     name = "frictional_lag"
@@ -149,24 +143,22 @@ class FrictionalLag(Effect):
     betrayed_by = "a"
     tau_h: Array = param("s", 0.0, 0.0, 0.3, "time constant", strength=True, size=5e-3)
 
-    def seen(self, v: Array, past: Array) -> Array:
-        """The velocity friction sees at `v`; `past` [..., len(PAST)] its lags, m/s."""
-        nodes = [0.0, *map(_squeeze, PAST)]
-        at = _squeeze(jnp.minimum(self.tau_h, PAST[-1]))
-        out = 0.0
-        for j, node in enumerate(nodes):
-            weight = 1.0
-            for i, other in enumerate(nodes):
-                if i != j:
-                    weight = weight * (at - other) / (node - other)
-            out = out + weight * (v if j == 0 else past[..., j - 1])
-        return out
+    def follow(self, before: Array, now: Array, h: Array) -> tuple[Array, Array]:
+        """The film's step as `w -> keep w + add`, exact for a speed along a line.
+
+        The speed (m/s) goes from `before` to `now` within `h` seconds.
+        """
+        absent = self.tau_h <= 0
+        keep = jnp.where(absent, 0.0, jnp.exp(-h / jnp.where(absent, 1.0, self.tau_h)))
+        late = self.tau_h * (now - before) / h
+        return keep, now - late - keep * (before - late)
 
 
 class StretchEffect(Effect):
-    """Lets the piston stand apart from the encoder: `stretch(F) -> m`.
+    """Lets the piston stand apart from the encoder: `stretch(F) -> m`, rising with F.
 
-    In a replay the logged force drives it; in simulation the plant's own.
+    Chambers and friction see the piston. In a replay the logged force drives it; in
+    simulation the plant's own.
     """
 
     place = "stretch"

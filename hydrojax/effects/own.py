@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
@@ -35,7 +35,7 @@ GROUP = "hydrojax.effects"
 METHODS = {
     "command": "step", "orifice": "", "supply": "drop", "flow": "flow",
     "volume": "volume", "compliance": "compliance", "stretch": "stretch",
-    "velocity": "seen", "level": "level", "friction": "force", "force": "force",
+    "velocity": "follow", "level": "level", "friction": "force", "force": "force",
     "sensor_P": "step", "sensor_F": "step",
 }  # fmt: skip
 """What an effect at each place must say of itself."""
@@ -48,8 +48,11 @@ ABSTRACT = (
 NEEDS = ("u", "F", "loadcell", "P_a1", "P_a2", "psi")
 """What an effect may need of a log."""
 
-_AT = Point(5e6, 6.5e6, 14e6, 0.25e6, 0.4, 0.1, 0.02, 0.01)
-_SLIDING = Sliding(7.0, 0.02, 0.004, 0.6, 5e-5, -2e-3, 3e-3, 5e6, 6.5e6, 14e6)
+# Numbers, since an array here would start JAX on import; `_try` makes arrays of them.
+_AT = Point._make((5e6, 6.5e6, 14e6, 0.25e6, 0.4, 0.1, 0.02, 0.01))
+_SLIDING = Sliding._make(
+    (7.0, 0.02, 0.004, 0.6, 5e-5, -2e-3, 3e-3, 5e6, 6.5e6, 14e6, 0.0)
+)
 _TRIAL = {
     "flow": (_AT,),
     "supply": (3e-9, 9e6),
@@ -175,6 +178,10 @@ def _broken(path: Path, source: str, error: Exception) -> NoReturn:
     raise InputError(f"{path}:{at} {said}; mend that line") from error
 
 
+Refuse = Callable[[str], NoReturn]
+"""Raises the error that an effect cannot be taken, and says what to mend."""
+
+
 def _check(effect: Any, where: str) -> str:
     """The name of an effect that can be taken; else one line that says what to mend."""
 
@@ -221,7 +228,7 @@ def _check(effect: Any, where: str) -> str:
     return name
 
 
-def _check_spec(field: str, spec: Spec, refuse) -> None:
+def _check_spec(field: str, spec: Spec, refuse: Refuse) -> None:
     unit = units.with_command(spec.unit, "V")
     if not spec.unit or not units.fits(unit, unit):
         refuse(
@@ -239,7 +246,11 @@ def _check_spec(field: str, spec: Spec, refuse) -> None:
 
 
 def _try(
-    instance: Effect, method: str, at: tuple, declared: dict[str, Spec], refuse
+    instance: Effect,
+    method: str,
+    at: tuple,
+    declared: dict[str, Spec],
+    refuse: Refuse,
 ) -> None:
     """That an effect vanishes at zero strength, and that its derivative does not."""
     names = [field for field, s in declared.items() if s.strength]
