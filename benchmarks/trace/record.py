@@ -94,8 +94,9 @@ def _record(lanes, seconds, substeps, tell, ahead) -> list[Log]:
         if k % 100 == 0:
             tell(k, n)
     if skew.lanes:
-        true = skew.shifted()
-        rows[:, 5, skew.lanes] = (true + noise[:n, 3])[:, skew.lanes]
+        # Read at another instant, and so with other noise than the controller saw.
+        late = skew.shifted() + np.roll(noise[:n, 3], 1, axis=0)
+        rows[:, 5, skew.lanes] = late[:, skew.lanes]
     names = ("u", "psi", *CHANNELS, "F_d")
     rows, t = rows[ahead:], np.arange(n - ahead) * TICK
     return [
