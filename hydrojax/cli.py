@@ -523,9 +523,7 @@ def tune(
     _load_effects(effects)
     from .tune import goal, report, tuning
 
-    limits = goal.Limits(
-        peak=peak, sensitivity=margin, noise=noise, tracking=tracking
-    )
+    limits = goal.Limits(peak=peak, sensitivity=margin, noise=noise, tracking=tracking)
     with _progress() as tell:
         tuned, path = tuning.tune(
             source, rig, free or (), at or (), adaptation, ensemble, spread,

@@ -102,7 +102,7 @@ class Quantity:
             stored = get(setting.loop.rig, (self.parameter,))[0]
         else:
             places = self.reach(setting)
-            stored = sum(places) / len(places)
+            stored = jnp.mean(jnp.stack(places), axis=0)
         return (1 / stored if self.reciprocal else stored) / self.factor
 
     def put(self, setting: Setting, value: Array | float) -> Setting:

@@ -108,8 +108,11 @@ class Rig(eqx.Module):
         """
         parts = PARTS if self.command else 1
         memory, openings = self.command_parts(memory, u, h, parts)
-        open_p, open_n = zip(*(sides(spool) for spool in openings), strict=True)
-        return memory, (sum(open_p) / parts, sum(open_n) / parts)
+        open_p, open_n = sides(openings[0])
+        for spool in openings[1:]:
+            p, n = sides(spool)
+            open_p, open_n = open_p + p, open_n + n
+        return memory, (open_p / parts, open_n / parts)
 
     def pressure_rates(self, at: Point) -> tuple[Array, Array]:
         """Rates of both chamber pressures, Pa/s; (12)-(15)."""

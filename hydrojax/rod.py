@@ -24,7 +24,7 @@ HALVINGS = 24
 
 def ahead(stretches: tuple, F: Array) -> Array:
     """How far the piston stands ahead of the encoder under `F`, m."""
-    return sum(e.stretch(F) for e in stretches)
+    return sum((e.stretch(F) for e in stretches), start=jnp.zeros_like(F))
 
 
 def along(ends: Array, parts: int) -> Array:

@@ -191,8 +191,9 @@ class Goal:
     def _at(self, setting: Setting, gains: Array | None, plant: Array) -> Setting:
         rig = put(setting.loop.rig, self.names, plant)
         s = eqx.tree_at(lambda q: q.loop.rig, setting, rig)
-        for i, quantity in enumerate(self.free if gains is not None else ()):
-            s = quantity.put(s, gains[i])
+        if gains is not None:
+            for i, quantity in enumerate(self.free):
+                s = quantity.put(s, gains[i])
         return s
 
     def _system(self, s: Setting, states: linear.States | None) -> linear.System:

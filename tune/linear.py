@@ -131,7 +131,7 @@ def system(setting: Setting, carry: Any, states: States | None = None) -> System
             None.
     """
     sides = jax.tree.map(lambda *a: jnp.stack(a), *_sides(setting, carry))
-    both = jax.vmap(lambda side: _jacobian(setting, *side, states))(sides)
+    both = jax.vmap(lambda side: _jacobian(setting, *side, states=states))(sides)
     return jax.tree.map(lambda a: jnp.mean(a, axis=0), both)
 
 

@@ -97,6 +97,7 @@ def map_figure(
     )
     low = min(0.0, float(np.nanmin([np.nanmin(t) for t in tables.values()])))
     levels = _levels(low, float(top))
+    drawn = None
     for ax, m in zip(grid, ways, strict=False):
         table = tables[m]
         drawn = ax.contourf(
@@ -108,6 +109,7 @@ def map_figure(
         ax.set_title(NAMES[m], fontsize=10)
         _marks(ax, data, x, y)
     unit = data[f"{ways[0]}_{quantity}"].attrs["units"]
+    assert drawn is not None  # there is at least one way
     fig.colorbar(drawn, ax=list(grid[: len(ways)]), label=f"{quantity} ({unit})",
                  shrink=0.9)  # fmt: skip
     if compare:

@@ -195,7 +195,8 @@ def _as_found(setting: Setting, report: dict[str, Any]) -> Setting:
     names = [n for n, p in found.items() if n in known and p.get("value") is not None]
     if not names:
         return setting
-    rig = put(setting.loop.rig, names, [found[n]["value"] for n in names])
+    values = np.array([found[n]["value"] for n in names])
+    rig = put(setting.loop.rig, names, values)
     return eqx.tree_at(lambda s: s.loop.rig, setting, rig)
 
 
