@@ -285,7 +285,9 @@ def _segment(
 
 def _calm(F: np.ndarray) -> np.ndarray:
     """A measured force without most of its noise, which what gives would follow."""
-    return np.asarray(savgol_filter(F, SMOOTH, 3) if np.isfinite(F).all() else np.zeros(F.size))
+    if not np.isfinite(F).all():
+        return np.zeros(F.size)
+    return np.asarray(savgol_filter(F, SMOOTH, 3))
 
 
 def runs_backward(data: Data) -> bool:
