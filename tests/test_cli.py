@@ -453,7 +453,7 @@ def test_identify_writes_the_contracts_report(call, recorded, tmp_path):
 
 def test_validate_takes_all_the_logs_that_follow():
     words = "trace r a b --validate c d --out o --validate=e"
-    assert cli._spread(words.split()) == [
+    assert cli.spread(words.split()) == [
         *("trace", "r", "a", "b", "--validate", "c", "--validate", "d"),
         *("--out", "o", "--validate=e"),
     ]

@@ -1,0 +1,5 @@
+"""`python -m hydrojax.cli`."""
+
+from . import main
+
+main()

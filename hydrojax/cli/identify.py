@@ -1,0 +1,149 @@
+"""The commands that fit: `identify`, `trace`, `demo`."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from ..backend import set_up_jax, user_cache
+from .desk import (
+    Effects,
+    Horizon,
+    Logs,
+    Out,
+    Profile,
+    RigFile,
+    app,
+    check_out,
+    console,
+    load_effects,
+    progress,
+)
+
+if TYPE_CHECKING:
+    from ..identify.outcome import Outcome
+
+
+@app.command()
+def identify(
+    rig: RigFile,
+    logs: Logs,
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option(help="Logs that take no part in the fit: all words that follow."),
+    ] = None,
+    out: Out = Path("hydrojax-identify"),
+    horizon: Horizon = 0.25,
+    starts: Annotated[int, typer.Option(help="Fits from so many starts.", min=1)] = 4,
+    profile: Profile = False,
+    effects: Effects = None,
+) -> None:
+    """Fit the declared model to logs; say how well it does and can be believed."""
+    check_out(out)
+    set_up_jax(user_cache())
+    load_effects(effects)
+    from ..identify import run
+
+    with progress() as tell:
+        case = run.open_case(rig, logs, validate or (), horizon)
+        outcome = run.identify(case, starts, tell, profile)
+    _finish(outcome, out)
+
+
+@app.command()
+def trace(
+    rig: RigFile,
+    logs: Logs,
+    validate: Annotated[
+        list[Path],
+        typer.Option(help="Logs that take no part in the fit: all words that follow."),
+    ],
+    out: Out = Path("hydrojax-trace"),
+    horizon: Horizon = 0.25,
+    starts: Annotated[int, typer.Option(help="Fits from so many starts.", min=1)] = 1,
+    matters: Annotated[
+        float,
+        typer.Option(help="Least fall of the error, as a share of the noise.", min=0.0),
+    ] = 0.02,
+    level: Annotated[
+        float, typer.Option(help="Family-wise significance.", min=1e-12, max=0.5)
+    ] = 0.01,
+    profile: Profile = False,
+    effects: Effects = None,
+) -> None:
+    """Close the loop: fit, residual, the effect behind it, refit, before and after."""
+    _trace(rig, logs, validate, out, horizon, starts, matters, level, profile, effects)
+
+
+@app.command()
+def demo(out: Out = Path("hydrojax-demo")) -> None:
+    """Run `trace` on a rig and logs that come with the package."""
+    folder = resources.files("hydrojax") / "demo"
+    with resources.as_file(folder) as here:
+        console.print("trace of the demo rig: two logs to fit, one to check\n")
+        logs = [here / "fit_1.csv.gz", here / "fit_2.csv.gz"]
+        _trace(here / "rig.toml", logs, [here / "validate.csv.gz"], out)
+
+
+def _trace(
+    rig: Path,
+    logs: list[Path],
+    validate: list[Path],
+    out: Path,
+    horizon: float = 0.25,
+    starts: int = 1,
+    matters: float = 0.02,
+    level: float = 0.01,
+    profile: bool = False,
+    effects: list[Path] | None = None,
+) -> None:
+    check_out(out)
+    set_up_jax(user_cache())
+    load_effects(effects)
+    from ..identify import run
+
+    with progress() as tell:
+        case = run.open_case(rig, logs, validate, horizon)
+        outcome = run.trace_case(case, starts, matters, level, tell, profile)
+    _finish(outcome, out)
+
+
+def _finish(outcome: Outcome, out: Path) -> None:
+    """Write the report and show the gist of it."""
+    from ..identify.naming import quantity
+    from ..identify.report import write_report
+
+    write_report(outcome, out)
+    console.print(outcome.verdict, style="bold", end="  ")
+    console.print(f"{outcome.sentence}\n", markup=False)
+    table = Table("channel", "noise", "before", "after", "after / noise")
+    for name, c in outcome.channels.items():
+        table.add_row(
+            name,
+            *(quantity(v, c.unit) for v in (c.noise, c.before, c.after)),
+            f"{c.after / c.noise:.3f}",
+        )
+    console.print(table)
+    for effect in outcome.effects:
+        found = ", ".join(
+            f"{n} = {quantity(p.value, p.unit, p.std)}"
+            for n, p in effect.parameters.items()
+        )
+        alike = (
+            f"; cannot be told from {', '.join(effect.cannot_tell_from)}"
+            if effect.cannot_tell_from
+            else ""
+        )
+        console.print(f"{effect.name}: {found}{alike}", markup=False)
+    for line in (*outcome.limits, *outcome.notes):
+        console.print(f"- {line}", markup=False)
+    spent = outcome.seconds
+    console.print(
+        f"\ncompile {spent['compile']:.1f} s, run {spent['run']:.1f} s; "
+        f"report in {out / 'report.html'}",
+        markup=False,
+    )

@@ -1,0 +1,244 @@
+"""The commands of the closed loop: `simulate`, `excite`, `bounds`, `paper`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from ..backend import set_up_jax, user_cache
+from ..errors import InputError
+from .desk import (
+    Effects,
+    Logs,
+    Out,
+    RigFile,
+    app,
+    check_file,
+    check_out,
+    console,
+    given,
+    load_effects,
+    progress,
+)
+
+
+@app.command()
+def simulate(
+    rig: RigFile,
+    gains: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Keys of [controller] to replace, as k_p=1.5 or 'A_a=6 V*s,15 V*s': "
+            "all words that follow.",
+            show_default=False,
+        ),
+    ] = None,
+    reference: Annotated[
+        str,
+        typer.Option(
+            help="Desired force: sines:400 N, sine:300 N,0.5 Hz, noise:200 N,50 Hz, or "
+            "a log with F_d."
+        ),
+    ] = "sines",
+    motion: Annotated[
+        str,
+        typer.Option(
+            help="Of the piston, or of what its load hangs on: wander:25 mm/s, "
+            "to-and-fro:3 cm/s,3 s, locked, or a log."
+        ),
+    ] = "wander",
+    seconds: Annotated[float, typer.Option(help="Length of the run, s.")] = 12.0,
+    seed: Annotated[int, typer.Option(help="Of noise and random course.", min=0)] = 0,
+    out: Annotated[
+        Path, typer.Option(help="The log: CSV(.gz), Parquet or MAT.")
+    ] = Path("hydrojax-simulate.csv"),
+    effects: Effects = None,
+) -> None:
+    """Run a rig in closed loop; write the log that it would have given."""
+    check_file(out)
+    set_up_jax(user_cache())
+    load_effects(effects)
+    import warnings
+
+    import numpy as np
+
+    from .. import record, simulation
+    from ..build import load_rig, make_effects, make_rig
+    from ..controller import make_loop
+
+    record.check_kind(out)
+    spec = load_rig(rig)
+    with progress() as tell:
+        tell("run the closed loop")
+        loop = make_loop(spec, None, given(gains or []))
+        course = record.read_course(spec, loop, reference, motion, seconds, seed)
+        x = course.road.x
+        own = make_effects(spec.effects, spec, (float(x.min()), float(x.max())))
+        loop = make_loop(spec, make_rig(spec, own), given(gains or []))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # said below, in one line
+            run = simulation.simulate(loop, course)
+    if run.diverged:
+        raise InputError(f"{rig}: {run.warning()}")
+    record.write_log(out, record.columns(run, spec))
+    still = (
+        ""
+        if np.ptp(run["x"])
+        else "the position does not move: identify and trace do not take such a log"
+    )
+    for line in (run.warning(), still, _noiseless(spec.sensors)):
+        if line:
+            console.print(f"warning: {line}", markup=False)
+    later = run.t >= run.t[-1] / 4
+    off = np.sqrt(np.mean((run.F_d - run["true_F"])[later] ** 2))
+    pushed = np.mean(np.abs(run["u"]) >= 0.999 * float(loop.law.u_max))
+    console.print(
+        f"{run.t.size} samples in {out}; F_d - F {off:.3g} N RMS after the first "
+        f"quarter; command saturated in {100 * pushed:.1f} % of them",
+        markup=False,
+    )
+
+
+def _noiseless(sensors: dict[str, float]) -> str:
+    if {"P_a1", "P_a2", "F"} & set(sensors):
+        return ""
+    return (
+        "the rig file gives no noise under [sensors], so the log has none: identify "
+        "and trace will take every small misfit for real"
+    )
+
+
+@app.command()
+def excite(
+    rig: RigFile,
+    separate: Annotated[
+        list[str] | None,
+        typer.Option(help="Two effects to be told apart: both words that follow."),
+    ] = None,
+    force: Annotated[str, typer.Option(help="Most of the desired force.")] = "800 N",
+    speed: Annotated[str, typer.Option(help="Most of the speed.")] = "25 mm/s",
+    travel: Annotated[str, typer.Option(help="Most from mid-stroke.")] = "20 mm",
+    seconds: Annotated[float, typer.Option(help="Length.", min=1.0, max=60.0)] = 8.0,
+    out: Annotated[
+        Path, typer.Option(help="The course: CSV(.gz), Parquet or MAT.")
+    ] = Path("hydrojax-excite.csv"),
+    effects: Effects = None,
+) -> None:
+    """Find the reference and motion that tell most of what is not identified."""
+    check_file(out)
+    set_up_jax(user_cache())
+    load_effects(effects)
+    from .. import record, units
+    from ..build import load_rig
+    from ..identify.excite import Limits, design
+    from ..identify.naming import quantity
+
+    record.check_kind(out)
+    spec = load_rig(rig)
+    both = [name for word in separate or [] for name in word.split(",")]
+    if both and len(both) != 2:
+        raise InputError(f"--separate {' '.join(both)}: name two effects")
+    most = [
+        units.quantity(text, unit, f"--{name}")
+        for name, text, unit in (
+            ("force", force, "N"), ("speed", speed, "m/s"), ("travel", travel, "m"),
+        )
+    ]  # fmt: skip
+    if min(most) <= 0:
+        raise InputError("--force, --speed and --travel must be above 0")
+    with progress() as tell:
+        found = design(spec, Limits(*most, seconds=seconds), both, tell=tell)
+    record.write_log(out, record.course_columns(found.t, found.F_d, found.x, spec))
+    what = "least size shown" if both else "standard deviation"
+    table = Table(what, "undesigned", "designed", "times better")
+    for name, before in found.before.items():
+        unit = found.units[name]
+        after = found.after[name]
+        table.add_row(
+            name, quantity(before, unit), quantity(after, unit), f"{before / after:.2g}"
+        )
+    console.print(table)
+    console.print(f"reference and motion in {out}: simulate --reference and --motion")
+
+
+@app.command()
+def bounds(
+    rig: RigFile,
+    logs: Logs,
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option(help="Logs whose plants take no part: all words that follow."),
+    ] = None,
+    out: Out = Path("hydrojax-bounds"),
+    confidence: Annotated[
+        float, typer.Option(help="That the box holds.", min=0.5, max=0.999)
+    ] = 0.95,
+    stretch: Annotated[float, typer.Option(help="Length of a fit, s.", min=0.5)] = 2.0,
+    effects: Effects = None,
+) -> None:
+    """Find the adaptive law's friction bounds from many fits, and refine them."""
+    check_out(out)
+    set_up_jax(user_cache())
+    load_effects(effects)
+    import json
+
+    from .. import roof
+    from ..identify import run
+
+    with progress() as tell:
+        case = run.open_case(rig, logs, validate or ())
+        found = roof.friction_bounds(case, confidence, stretch, tell)
+        figure = roof.bounds_figure(found)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "rig.toml").write_text(found.rig_file, encoding="utf-8")
+    (out / "bounds.json").write_text(json.dumps(roof.json_of(found), indent=1) + "\n")
+    figure.savefig(out / "bounds.png", dpi=120)
+    table = Table("F_d - F, N RMS", "plants fitted", "plants that took no part")
+    for way, error in found.fitted.items():
+        other = f"{found.others[way]:.3g}" if found.others else "-"
+        table.add_row(f"{way} bounds", f"{error:.3g}", other)
+    console.print(table)
+    console.print(
+        f"{len(found.fits)} stretches of {found.fits[0].seconds:.3g} s; rig.toml with "
+        f"the refined bounds, bounds.json and bounds.png in {out}"
+    )
+
+
+@app.command()
+def paper(out: Out = Path("hydrojax-paper")) -> None:
+    """Repeat the paper's experiments on the reference rig: Figs. 2 to 5."""
+    check_out(out)
+    set_up_jax(user_cache())
+    import json
+
+    from .. import paper as experiments
+    from ..paper_figures import figures
+
+    with progress() as tell:
+        found = experiments.experiments(tell)
+        tell("draw")
+        drawn = figures(found)
+        content = experiments.json_of(found)
+    out.mkdir(parents=True, exist_ok=True)
+    for name, figure in drawn.items():
+        figure.savefig(out / f"{name}.png", dpi=120)
+    (out / "paper.json").write_text(json.dumps(content, indent=1) + "\n")
+    table = Table("RMS, N", "a", "b", "c", "d")
+    for name in ("fig2", "fig3", "fig4"):
+        table.add_row(name, *(f"{v:.3g}" for v in content[name].values()))
+    console.print(table)
+    edge = content["fig5"]
+    console.print(
+        f"fig5: within 1 dB to {edge['within_1dB_to_Hz_noise']:.1f} Hz by noise, "
+        f"{edge['within_1dB_to_Hz_sines']:.1f} Hz by sines\n"
+        f"W (31) rises by at most {content['lyapunov']['largest_rise']:.2g} of its "
+        "start\n"
+        f"least supply {content['supply']['least_P_s_Pa'] / 1e6:.2f} MPa; (42) asks "
+        f"for {content['supply']['condition_42_Pa'] / 1e6:.1f} MPa\n"
+        f"without friction model {content['ablation']['rms_N']:.3g} N, full law "
+        f"{content['ablation']['full_law_rms_N']:.3g} N\n"
+        f"pictures and paper.json in {out}"
+    )

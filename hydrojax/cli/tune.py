@@ -1,0 +1,156 @@
+"""The commands of the gains: `sweep` and `tune`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from ..backend import set_up_jax, user_cache
+from .desk import (
+    At,
+    Effects,
+    Gains,
+    Out,
+    RigFile,
+    app,
+    check_out,
+    console,
+    counted,
+    given,
+    load_effects,
+    progress,
+)
+
+
+@app.command()
+def sweep(
+    rig: RigFile,
+    over: Annotated[
+        list[str],
+        typer.Option(
+            help="An axis, 1 to 4: k_p=0.2:4:48, load.mass=50 kg:300 kg:16, "
+            "beta=5e8:1e9:9:log, v=0,0.01,0.02. All words that follow."
+        ),
+    ],
+    by: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="linear, multisine or noise: all words that follow.",
+            show_default="linear",
+        ),
+    ] = None,
+    gains: Gains = None,
+    at: At = None,
+    ensemble: Annotated[
+        int, typer.Option(help="Plants to sweep over, the rig among them.", min=1)
+    ] = 1,
+    spread: Annotated[
+        float, typer.Option(help="Relative half-width of the ensemble.", min=0.0)
+    ] = 0.2,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--from", help="Folder of identify or trace: the ensemble is drawn from it."
+        ),
+    ] = None,
+    frozen: Annotated[
+        bool, typer.Option("--frozen", help="Measure with the adaptation frozen.")
+    ] = False,
+    effects: Effects = None,
+    out: Out = Path("hydrojax-sweep"),
+) -> None:
+    """Map bandwidth over gains, bounds, plant, load, signal path, operating point.
+
+    Run again, a sweep that was stopped goes on where it was, and one that is done does
+    nothing.
+    """
+    check_out(out)
+    set_up_jax(user_cache())
+    load_effects(effects)
+    from ..tune import maps, run
+
+    with counted("sweep") as tell:
+        data = run.sweep_rig(
+            rig, over, by or ("linear",), given(gains or []), at or (), ensemble,
+            spread, report, frozen, out, tell,
+        )  # fmt: skip
+    for name, figure in maps.figures(data).items():
+        figure.savefig(out / f"{name}.png", dpi=120)
+    for line in run.sentences(data):
+        console.print(line)
+    console.print(f"sweep.nc and pictures in {out}")
+
+
+@app.command()
+def tune(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Rig file, or the folder of a trace or identify.", show_default=False
+        ),
+    ],
+    rig: Annotated[
+        Path | None,
+        typer.Option(help="Rig file of a folder that holds none."),
+    ] = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What is tuned: k_p, k_f, k_1, tau_d …: all words that follow.",
+            show_default="k_p k_f k_1, and A_a where a load moves",
+        ),
+    ] = None,
+    at: At = None,
+    adaptation: Annotated[
+        bool, typer.Option("--adaptation", help="Tune its rates and bounds after.")
+    ] = False,
+    ensemble: Annotated[
+        int, typer.Option(help="Plants to tune for, the rig among them.", min=1)
+    ] = 8,
+    spread: Annotated[
+        float, typer.Option(help="Relative half-width of the ensemble.", min=0.0)
+    ] = 0.2,
+    peak: Annotated[float, typer.Option(help="Largest resonance, dB.", min=0.1)] = 3.0,
+    margin: Annotated[
+        float, typer.Option(help="Largest sensitivity at the command, dB.", min=1.0)
+    ] = 6.0,
+    noise: Annotated[
+        float,
+        typer.Option(help="Command by noise, RMS, share of its range.", min=1e-6),
+    ] = 0.01,
+    tracking: Annotated[
+        float,
+        typer.Option(help="Tracking error, joint moving, relative to before.", min=0.1),
+    ] = 3.0,
+    starts: Annotated[int, typer.Option(help="Descents.", min=1)] = 3,
+    effects: Effects = None,
+    out: Out = Path("hydrojax-tune"),
+) -> None:
+    """Find the gains that give the widest bandwidth, and say what limits it."""
+    check_out(out)
+    set_up_jax(user_cache())
+    load_effects(effects)
+    from ..tune import goal, report, tuning
+
+    limits = goal.Limits(peak=peak, sensitivity=margin, noise=noise, tracking=tracking)
+    with progress() as tell:
+        tuned, path = tuning.tune(
+            source, rig, free or (), at or (), adaptation, ensemble, spread,
+            limits, starts, tell,
+        )  # fmt: skip
+        tell("draw")
+        report.write(tuned, path, out)
+    console.print(report.sentence(tuned))
+    table = Table("gain", "before", "after", "unit")
+    for name, value in tuned.gains.items():
+        table.add_row(
+            name, f"{tuned.start[name]:.4g}", f"{value:.4g}", tuned.units[name]
+        )
+    console.print(table)
+    console.print(report.limit(tuned))
+    for line in tuned.notes:
+        console.print(f"- {line}")
+    console.print(f"tune.json, rig.toml and report.html in {out}")
