@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 
 import numpy as np
@@ -158,8 +159,6 @@ def test_the_ensemble_and_what_95_percent_reach(setting, known):
 
 
 def test_a_report_s_ensemble(setting, tmp_path):
-    import json
-
     report = {
         "parameters": {
             "beta": {"value": 8e8, "std": 8e6}, "k_cp": {"value": 1e3, "std": 50.0},
@@ -179,6 +178,23 @@ def test_a_report_s_ensemble(setting, tmp_path):
     assert np.corrcoef(values.T)[0, 1] == pytest.approx(-0.9, abs=0.02)
     with pytest.raises(InputError, match="no report"):
         axes.from_report(setting, tmp_path / "none", 3)
+
+
+def test_plants_of_a_covariance_keep_every_scale(setting, tmp_path):
+    """From pascals to flows: the small parameters are not drowned in the large."""
+    std = {"beta": 5e6, "c_p1": 6e-14, "z_ss": 1.2e-7}
+    value = {"beta": 8.5e8, "c_p1": 2.24e-9, "z_ss": 6e-5}
+    both = np.diag([s**2 for s in std.values()])
+    both[0, 1] = both[1, 0] = 0.5 * std["beta"] * std["c_p1"]
+    report = {
+        "parameters": {n: {"value": value[n], "std": std[n]} for n in std},
+        "effects": [],
+        "covariance": {"names": list(std), "matrix": both.tolist()},
+    }
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    drawn = axes.from_report(setting, tmp_path, 4000).values
+    np.testing.assert_allclose(drawn.std(axis=0), list(std.values()), rtol=0.05)
+    assert abs(np.corrcoef(drawn.T)[0, 1] - 0.5) < 0.05
 
 
 def test_moving_points_settle(setting, known):

@@ -152,8 +152,11 @@ def from_report(setting: Setting, folder: Path, count: int, seed: int = 0) -> Pl
     if full and set(free) <= set(full["names"]):
         at = [full["names"].index(n) for n in free]
         matrix = np.array(full["matrix"], float)[np.ix_(at, at)]
-        size, turn = np.linalg.eigh(matrix)
-        root, says = turn * np.sqrt(np.maximum(size, 0)), "from its covariance"
+        # Of the correlations: the parameters are forty powers of ten apart in square.
+        each = np.sqrt(np.diag(matrix))
+        size, turn = np.linalg.eigh(matrix / np.outer(each, each))
+        root = each[:, None] * turn * np.sqrt(np.maximum(size, 0))
+        says = "from its covariance"
     rng = np.random.default_rng([seed, 22])
     values = middle + rng.normal(size=(count, middle.size)) @ root.T
     values[0] = middle
