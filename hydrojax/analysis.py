@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .control import Nine, mean_area
+from .control import Nine, mean_area, truth
 from .loop import Course, Loop, run
 from .simulation import Run
 
@@ -29,19 +29,14 @@ def lyapunov(loop: Loop, run: Run) -> np.ndarray:
     The plant's own parameters are the truth it measures from. An estimate that is not
     adapted has no term: its error is constant, and (31) divides by its rate.
     """
-    m, chambers = loop.rig.mechanics, loop.rig.chambers
-    truth = Nine(
-        1 / chambers.beta,
-        mean_area(loop.rig),
-        *(getattr(m, n) for n in Nine._fields[2:]),
-    )
+    own = truth(loop.rig)
     P = _drive_force(loop, run)
-    W = (run["P_d"] - P) ** 2 / float(chambers.beta)
+    W = (run["P_d"] - P) ** 2 * float(own.k_1)
     for name in Nine._fields:
         rate = float(getattr(loop.law.rate, name))
         if rate:
             weight = 1.0 if name in ("k_1", "A_a") else float(loop.law.k_f)
-            off = float(getattr(truth, name)) - run[name]
+            off = float(getattr(own, name)) - run[name]
             W = W + weight / rate * off**2
     return W / 2
 

@@ -210,6 +210,12 @@ def mean_area(rig: Rig) -> Array:
     return (w_1 * c.area_1 + w_2 * c.area_2) / (w_1 + w_2)
 
 
+def truth(rig: Rig) -> Nine:
+    """What the nine estimates are estimates of, SI: the plant's own values."""
+    friction = (getattr(rig.mechanics, name) for name in Theta._fields)
+    return Nine(1 / rig.chambers.beta, mean_area(rig), *friction)
+
+
 def within(value: Array, lower: Array, upper: Array) -> Array:
     """`value` held in [lower, upper], with the whole derivative of the end it is at.
 

@@ -114,21 +114,18 @@ def make_loop(
             "give the rig's areas and another layout"
         )
     nominal = make_rig(replace(spec, effects={}), {})
-    keys = _read(f"{spec.path}: [controller]", spec.controller, spec)
-    keys |= _read(where, gains or {}, spec)
+    keys = file_keys(spec) | _read(where, gains or {}, spec)
     if rig is None:
         reach = spec.geometry.get("chamber_length", 1.0) / 2
         rig = make_rig(spec, make_effects(spec.effects, spec, (-reach, reach)))
     _check_delay(spec, rig, 1 / _one(keys, "rate"))
-    supply = {"P_s": 14e6, "P_r": 0.25e6} | spec.supply
-    load = _load(spec)
     return Loop(
         rig=rig,
-        law=_law(keys, nominal, spec, supply["P_r"]),
-        load=load,
+        law=_law(keys, nominal, spec, spec.line["P_r"]),
+        load=_load(spec),
         sensors=_sensors(keys, spec),
         h=_array(1 / _one(keys, "rate")),
-        P_start=_array(_start(nominal, (supply["P_s"] + supply["P_r"]) / 2)),
+        P_start=_array(_start(nominal, sum(spec.line.values()) / 2)),
     )
 
 
@@ -177,11 +174,25 @@ def _read(where: str, table: Mapping[str, object], spec: RigSpec) -> Values:
     return out
 
 
+def file_keys(spec: RigSpec) -> Values:
+    """The keys that the file's [controller] gives: both ends, SI but for volts.
+
+    Raises:
+        InputError: a key, unit or value that will not do.
+    """
+    return _read(f"{spec.path}: [controller]", spec.controller, spec)
+
+
+def key_unit(name: str, spec: RigSpec) -> str:
+    """The paper's unit of a key, as this rig has it."""
+    if name == "resolution" and "radius" not in spec.geometry:
+        return "m"
+    return units.with_command(KEYS[name].unit, spec.command_unit)
+
+
 def _number(where: str, name: str, value: object, spec: RigSpec) -> float:
     """One value in SI; a bare number is in the paper's unit."""
-    unit = units.with_command(KEYS[name].unit, spec.command_unit)
-    if name == "resolution" and "radius" not in spec.geometry:
-        unit = "m"
+    unit = key_unit(name, spec)
     want = si(unit)
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         value = f"{value} {unit}"

@@ -32,9 +32,6 @@ from .named import get, parameter_specs, put
 from .params import specs
 from .rigfile import RigSpec
 
-SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
-"""Supply and return pressure (Pa) where the rig file has none."""
-
 AMPLITUDE = 100.0
 """Of the force that is asked for, N, where nothing else is said."""
 
@@ -145,10 +142,9 @@ def open_setting(
     needed = {name.partition(".")[0] for name in extra} & set(EFFECTS)
     effects = make_effects({*spec.effects, *needed}, spec, (-0.1, 0.1))
     loop = make_loop(spec, make_rig(spec, effects), gains)
-    supply = SUPPLY | spec.supply
     zero, number = jnp.asarray(0.0, float), jnp.asarray
     return Setting(
-        loop, zero, zero, zero, *(number(supply[n], float) for n in ("P_s", "P_r")),
+        loop, zero, zero, zero, *(number(spec.line[n], float) for n in ("P_s", "P_r")),
         amplitude=number(AMPLITUDE, float),
     )  # fmt: skip
 

@@ -22,9 +22,6 @@ from .rigfile import RigSpec
 from .signals import Log, read_log
 from .simulation import Run, hold, make_course
 
-SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
-"""Supply and return pressure (Pa) where neither log nor rig file has them."""
-
 _DIGITS = {"time": "%.6f", "psi": "%.10g", "x": "%.10g"}
 
 KINDS = (".csv", ".csv.gz", ".parquet", ".mat")
@@ -96,7 +93,7 @@ def read_course(
     t = np.arange(n) * h
     rng = np.random.default_rng([seed, 1])
     if force_log is not None:
-        rows = slice(*_rows(force_log))
+        rows = slice(*longest(force_log))
         if "F_d" not in force_log.signals:
             raise InputError(
                 f"{reference}: no column F_d to follow; name another log, or one of "
@@ -123,7 +120,7 @@ def read_course(
                 )
             F_d = excitation.band_noise(rng, n, h, *given)
     if path_log is not None:
-        path = log_path(path_log, spec, _rows(path_log))
+        path = log_path(path_log, spec, longest(path_log))
     else:
         kind, given = _words(motion, MOTIONS, "--motion")
         if kind == "wander":
@@ -132,8 +129,8 @@ def read_course(
             path = excitation.to_and_fro(*given)
         else:
             path = hold(given[0])
-    supply = SUPPLY | spec.supply
-    course = make_course(F_d, path, h, supply["P_s"], supply["P_r"], seed)
+    line = spec.line
+    course = make_course(F_d, path, h, line["P_s"], line["P_r"], seed)
     x = np.asarray(course.road.x)
     low, high = float(x.min()), float(x.max())
     x_1, x_2 = (float(c) for c in loop.rig.chambers.lengths(jnp.array(0.0)))
@@ -160,7 +157,7 @@ def rerun(
     Returns:
         None for a course of less than two seconds without a gap or a missing F_d.
     """
-    start, stop = _rows(log)
+    start, stop = longest(log)
     rows = slice(start, stop)
     t = log.time[rows] - log.time[start]
     holes = np.flatnonzero(np.isnan(log.signals["F_d"][rows]))
@@ -173,7 +170,7 @@ def rerun(
 
     def given(name: str) -> float | np.ndarray:
         if name not in log.signals:
-            return (SUPPLY | spec.supply)[name]
+            return spec.line[name]
         return np.interp(at, t, log.signals[name][rows])
 
     F_d = np.interp(at[:-1], t, log.signals["F_d"][rows])
@@ -213,13 +210,13 @@ def _words(
     return kind, values
 
 
-def _rows(log: Log) -> tuple[int, int]:
+def longest(log: Log) -> tuple[int, int]:
     """The longest stretch of a log without a gap."""
     return max(log.segments, key=lambda rows: rows[1] - rows[0])
 
 
 def _span(log: Log) -> tuple[float, float]:
-    start, stop = _rows(log)
+    start, stop = longest(log)
     return float(log.time[start]), float(log.time[stop - 1])
 
 

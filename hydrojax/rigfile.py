@@ -32,6 +32,9 @@ _NEEDED = {
     "driven-axis": (),
 }
 _SUPPLY = {"P_s": "Pa", "P_r": "Pa"}
+SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
+"""Supply and return pressure (Pa) where neither log nor rig file has them."""
+
 _LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
 
 
@@ -83,6 +86,11 @@ class RigSpec:
     controller: dict[str, ControllerValue]
     command_unit: str
     path: str
+
+    @property
+    def line(self) -> dict[str, float]:
+        """P_s and P_r, Pa: the file's, or `SUPPLY` where it has none."""
+        return SUPPLY | self.supply
 
 
 class _Sections(BaseModel):

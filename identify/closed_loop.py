@@ -10,7 +10,7 @@ import numpy as np
 from ..build import make_effects, make_rig
 from ..controller import make_loop
 from ..named import get, parameter_specs, put
-from ..record import rerun
+from ..record import longest, rerun
 from ..rigfile import Entry, RigSpec
 from ..signals import Log
 from ..simulation import simulate
@@ -73,7 +73,7 @@ def check_loop(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # it is among the figures
         run = simulate(loop, course)
-    start, stop = max(log.segments, key=lambda rows: rows[1] - rows[0])
+    start, stop = longest(log)
     t = log.time[start:stop] - log.time[start]
     keep = (t >= SETTLE) & (t <= run.t[-1])
     desired, measured = (log.signals[n][start:stop][keep] for n in ("F_d", "F"))

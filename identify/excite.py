@@ -27,7 +27,6 @@ from ..load import Road
 from ..loop import Course, Loop, run
 from ..named import parameter_specs
 from ..params import specs
-from ..record import SUPPLY
 from ..replay import Motion, Windows
 from ..rigfile import RigSpec
 from ..simulation import PARTS
@@ -361,10 +360,15 @@ def _question(
             if s.strength
         )
     loop = make_loop(spec, make_rig(spec, make_effects(spec.effects, spec, travel)))
-    supply = SUPPLY | spec.supply
     names = tuple(dict.fromkeys((*free, *wanted)))
     q = _Question(
-        model, model.values, names, wanted, float(loop.h), supply["P_r"], supply["P_s"]
+        model,
+        model.values,
+        names,
+        wanted,
+        float(loop.h),
+        spec.line["P_r"],
+        spec.line["P_s"],
     )
     noise = np.array([spec.sensors[c] for c in ("P_a1", "P_a2", "F")])
     step = eqx.tree_at(lambda lo: lo.sensors.step, loop, jnp.zeros(()))

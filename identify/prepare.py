@@ -11,7 +11,7 @@ from scipy import interpolate
 from scipy.signal import savgol_filter
 
 from ..errors import InputError
-from ..record import SUPPLY, position
+from ..record import position
 from ..replay import Motion, Windows
 from ..rigfile import RigSpec
 from ..signals import Log
@@ -249,7 +249,7 @@ def _segment(
     get = {k: v[rows] for k, v in log.signals.items()}
     zero = np.zeros(t.size)
     F = get.get("F", zero + spec.load.get("F", np.nan))
-    supply = {k: get.get(k, zero + spec.supply.get(k, v)) for k, v in SUPPLY.items()}
+    supply = {k: get.get(k, zero + v) for k, v in spec.line.items()}
     # Where u drives a log without pressures, they start midway: a first guess.
     middle = (supply["P_s"] + supply["P_r"]) / 2 if "u" in get else zero
     P = np.stack([get.get("P_a1", middle), get.get("P_a2", middle)], axis=1)

@@ -5,9 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import math
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,14 +12,23 @@ from typing import Any
 
 import jinja2
 
-from . import figures
+from ..files import write_all
+from . import figures, residuals
 from .naming import p_text, quantity, words
 from .outcome import Channel, Effect, LoopCheck, Outcome, Parameter
+from .scope import scope
 from .trace import AT_NOISE
 
 FORMAT = "hydrojax-report/1"
-PICTURES = ("error", "betrayal", "residual", "loop", "ranking", "parameter")
-"""In the order of the page: `<name>_figure` is in `report_<name>.png`."""
+PICTURES = {
+    "error": figures,
+    "betrayal": residuals,
+    "residual": residuals,
+    "loop": residuals,
+    "ranking": figures,
+    "parameter": figures,
+}
+"""In the order of the page, where `<name>_figure` is; its file is `report_<name>.png`."""
 
 
 def json_of(outcome: Outcome) -> dict[str, Any]:
@@ -162,8 +168,8 @@ class Picture:
 def pictures(outcome: Outcome) -> list[Picture]:
     """All figures that this outcome has something to show in."""
     made = []
-    for name in PICTURES:
-        draw: Callable[[Outcome], Any] = getattr(figures, f"{name}_figure")
+    for name, room in PICTURES.items():
+        draw: Callable[[Outcome], Any] = getattr(room, f"{name}_figure")
         figure = draw(outcome)
         if figure is not None:
             alt, caption = _described(name, outcome)
@@ -197,7 +203,7 @@ def _error_said(outcome: Outcome) -> tuple[str, str]:
 
 
 def _betrayal_said(outcome: Outcome) -> tuple[str, str]:
-    rows = [f"{c} against {s} ({e})" for e, c, s in figures.betrayals(outcome)]
+    rows = [f"{c} against {s} ({e})" for e, c, s in residuals.betrayals(outcome)]
     return (
         f"Residual before and after: {', '.join(rows)}.",
         "Residual against the quantity that betrays each effect, or that the rest "
@@ -208,7 +214,7 @@ def _betrayal_said(outcome: Outcome) -> tuple[str, str]:
 
 
 def _residual_said(outcome: Outcome) -> tuple[str, str]:
-    logs = [s.log for s in outcome.series][: figures.LOGS]
+    logs = [s.log for s in outcome.series][: residuals.LOGS]
     rest = len(outcome.series) - len(logs)
     more = f" {rest} more logs are not drawn." if rest else ""
     return (
@@ -227,7 +233,7 @@ def _loop_said(outcome: Outcome) -> tuple[str, str]:
         "The log's desired force in the simulated loop: the identified rig, the "
         "paper's law with the rig file's [controller]; motion and supply are the "
         "log's. The "
-        f"liveliest {figures.LOOP_SECONDS:g} s.",
+        f"liveliest {residuals.LOOP_SECONDS:g} s.",
     )
 
 
@@ -271,6 +277,7 @@ def page(outcome: Outcome, shown: Sequence[Picture]) -> str:
         pictures={p.name: p for p in shown},
         ranking=figures.ranking(outcome),
         at_noise=AT_NOISE,
+        scope=scope(outcome),
     )
 
 
@@ -287,15 +294,6 @@ def write_report(outcome: Outcome, folder: Path) -> None:
     files["report.json"] = (text + "\n").encode()
     if outcome.rig_file:
         files["rig.toml"] = outcome.rig_file.encode()
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
-        for name, content in files.items():
-            (beside / name).write_bytes(content)
-        folder.mkdir(exist_ok=True)
-        for name in files:
-            os.replace(beside / name, folder / name)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
+    write_all(folder, files)
     for name in {f"report_{p}.png" for p in PICTURES} - set(files):
         (folder / name).unlink(missing_ok=True)

@@ -44,12 +44,13 @@ def summarise(
     declared = state.check.initial_values() if command == "identify" else base.values
     before = state.check.residuals_at(declared)
     after = state.check.residuals_at(state.point.values)
+    errors = tuple(np.sqrt(np.mean(r**2, axis=(0, 1))) for r in (before, after))
     channels = {
         CHANNELS[c]: Channel(
             UNITS[c],
             float(state.noise[c]),
-            float(np.sqrt(np.mean(before[..., c] ** 2))),
-            float(np.sqrt(np.mean(after[..., c] ** 2))),
+            float(errors[0][c]),
+            float(errors[1][c]),
         )
         for c in seen
     }
@@ -63,7 +64,7 @@ def summarise(
         if ch.after > AT_NOISE * ch.noise
     )
     verdict = "unknown" if left else "explained" if state.added else "nothing missing"
-    effects = _effects(case, state, belief)
+    effects = _effects(case, state, belief, (errors[0], errors[1]))
     return Outcome(
         command=command,
         rig=case.spec.name,
@@ -155,19 +156,27 @@ def _parameters(case: Case, state: Tracing, belief: Belief) -> dict[str, Paramet
     return out
 
 
-def _effects(case: Case, state: Tracing, belief: Belief) -> tuple[Effect, ...]:
+def _effects(
+    case: Case,
+    state: Tracing,
+    belief: Belief,
+    errors: tuple[np.ndarray, np.ndarray],
+) -> tuple[Effect, ...]:
     spec = parameter_specs(state.problem.model.rig)
+    seen = [c for c in range(3) if np.isfinite(state.noise[c])]
     out = []
-    for added in state.added:
+    # What an effect did is told to where the next one came in, and the last to the end:
+    # the force is fitted only after the pressures have theirs.
+    ends = [errors[0], *(a.before for a in state.added[1:]), errors[1]]
+    for i, added in enumerate(state.added):
         own = [n for n in spec if n.startswith(f"{added.name}.")]
-        seen = [c for c in range(3) if np.isfinite(state.noise[c])]
         out.append(
             Effect(
                 name=added.name,
                 parameters=dict(_one(n, case, state, belief, spec[n]) for n in own),
                 p_value=added.p_value,
-                before={CHANNELS[c]: float(added.before[c]) for c in seen},
-                after={CHANNELS[c]: float(added.after[c]) for c in seen},
+                before={CHANNELS[c]: float(ends[i][c]) for c in seen},
+                after={CHANNELS[c]: float(ends[i + 1][c]) for c in seen},
                 cannot_tell_from=added.cannot_tell_from,
                 betrayed_by=EFFECTS[added.name].betrayed_by,
             )

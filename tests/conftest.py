@@ -1,5 +1,6 @@
 """A reference rig, and short synthetic logs with motion known in closed form."""
 
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from hydrojax import cli
 from hydrojax.backend import set_up_jax
 from hydrojax.named import put
 from hydrojax.replay import Motion, Windows
@@ -191,3 +193,29 @@ def recorded(tmp_path_factory) -> Callable[..., Path]:
         return made[key]
 
     return record
+
+
+class Said(NamedTuple):
+    """What a run of the command line left behind."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def call(monkeypatch, capsys, cache_home) -> Callable[..., Said]:
+    """Runs the command line in this process."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_home))
+
+    def run(*arguments: object) -> Said:
+        monkeypatch.setattr(sys, "argv", ["hydrojax", *map(str, arguments)])
+        capsys.readouterr()
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        return Said(code, *capsys.readouterr())
+
+    return run

@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,6 +19,7 @@ import scipy.io
 from hydrojax.identify import run as running
 
 from hydrojax import __version__, cli
+from tests.conftest import Said
 
 RIG = """\
 name = "bench"
@@ -40,32 +40,6 @@ c_p1 = { start = "2e-9 m^3/(s*V*Pa^0.5)", range = ["2e-10 m^3/(s*V*Pa^0.5)", \
 "2e-8 m^3/(s*V*Pa^0.5)"] }
 k_cp = { start = "900 N", range = ["0 N", "4000 N"] }
 """
-
-
-class Said(NamedTuple):
-    """What a run of the command line left behind."""
-
-    code: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def call(monkeypatch, capsys, cache_home) -> Callable[..., Said]:
-    """Runs the command line in this process."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_home))
-
-    def run(*arguments: object) -> Said:
-        monkeypatch.setattr(sys, "argv", ["hydrojax", *map(str, arguments)])
-        capsys.readouterr()
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        return Said(code, *capsys.readouterr())
-
-    return run
 
 
 def columns(rows: int = 3000) -> dict[str, np.ndarray]:

@@ -89,7 +89,15 @@ def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
     again = record.read_course(spec, loop, str(course), str(course), 60.0, seed=3)
     log = tmp_path / "log.csv"
     record.write_log(log, record.columns(simulate(loop, again), spec))
-    state = run.fit_case(run.open_case(rig_file, [log]), 1)
+    away = tmp_path / "away.toml"
+    text = rig_file.read_text()
+    for unit, value in FREE.values():
+        text = text.replace(
+            f'start = "{value:g} {unit}"', f'start = "{0.8 * value:g} {unit}"'
+        )
+    away.write_text(text)
+    assert text.count("start") == len(FREE) and text != rig_file.read_text()
+    state = run.fit_case(run.open_case(away, [log]), 1)
     gram = np.asarray(state.problem.sums_at(state.point.values).gram).sum(axis=0)
     at = [state.problem.model.names.index(n) for n in FREE]
     scale = state.problem.model.scale[at]
@@ -120,3 +128,20 @@ def test_what_cannot_be_designed(rig_file):
         design(replace(spec, sensors={"P_a1": 9e3, "P_a2": 9e3}), LIMITS)
     with pytest.raises(InputError, match="nothing to identify"):
         design(replace(spec, parameters={}), LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--separate", "stribeck"), "name two effects"),
+        (("--separate", "stribeck", "stribek"), "stribek"),
+        (("--force", "8"), 'write "8 N"'),
+        (("--speed", "-1 mm/s"), "above 0"),
+        (("--out", "course.txt"), "not a kind of log"),
+    ],
+)
+def test_the_command_refuses_in_one_line(call, rig_file, tmp_path, words, said):
+    out = () if "--out" in words else ("--out", tmp_path / "course.csv")
+    got = call("excite", rig_file, *words, *out)
+    assert got.code == 2 and said in got.err and got.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from hydrojax import cli, effects
+from hydrojax import effects
 from hydrojax.build import load_rig
 from hydrojax.effects import EFFECTS, load_effects, own
 from hydrojax.errors import InputError
@@ -41,23 +41,6 @@ def mine(tmp_path) -> Path:
     return path
 
 
-@pytest.fixture
-def call(monkeypatch, capsys, cache_home):
-    """Runs the command line in this process: exit code, and what it said of errors."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_home))
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["hydrojax", *map(str, words)])
-        capsys.readouterr()
-        try:
-            cli.main()
-        except SystemExit as end:
-            return end.code or 0, capsys.readouterr().err
-        return 0, capsys.readouterr().err
-
-    return run
-
-
 # -- the documented effect, at work --
 
 
@@ -83,7 +66,7 @@ def case(tmp_path_factory):
 
 def test_the_trace_finds_the_page_s_effect(call, vocabulary, case, mine, tmp_path):
     out = tmp_path / "out"
-    code, err = call(
+    code, _, err = call(
         "trace", case / "rig.toml", case / "fit_1.csv", case / "fit_2.csv",
         "--validate", case / "validate.csv", "--effects", mine, "--out", out,
     )  # fmt: skip
@@ -110,9 +93,9 @@ def test_identify_fits_it_where_the_rig_file_declares_it(
     rig.write_text((case / "rig.toml").read_text() + "\n" + declared)
     out = tmp_path / "out"
     words = ("identify", rig, case / "fit_1.csv", "--out", out, "--starts", 1)
-    code, err = call(*words)
+    code, _, err = call(*words)
     assert code == 2 and "unknown effect 'quadratic_drag'" in err
-    code, err = call(*words, "--effects", mine)
+    code, _, err = call(*words, "--effects", mine)
     assert code == 0, err
     drag = json.loads((out / "report.json").read_text())["parameters"][
         "quadratic_drag.c"
@@ -243,7 +226,7 @@ def test_two_files_may_not_share_a_name(vocabulary, mine, tmp_path):
 
 def test_no_such_file_is_refused(call, vocabulary, case, tmp_path):
     gone = tmp_path / "gone.py"
-    code, err = call(
+    code, _, err = call(
         "identify", case / "rig.toml", case / "fit_1.csv", "--effects", gone
     )
     assert code == 2

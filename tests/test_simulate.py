@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import pytest
 from hydrojax.identify import run as running
 
-from hydrojax import cli, excitation, paper, record, simulation
+from hydrojax import excitation, paper, record, simulation
 from hydrojax.build import load_rig, make_effects, make_rig
 from hydrojax.control import Nine, mean_area
 from hydrojax.controller import KEYS, make_loop
@@ -22,6 +20,7 @@ from hydrojax.errors import InputError
 from hydrojax.load import Driven, Inertia
 from hydrojax.rig import PLACES
 from hydrojax.signals import read_log
+from tests.conftest import Said
 
 KAPPA = 1.18e-4
 
@@ -419,29 +418,6 @@ def test_a_log_with_holes_in_its_desired_force(bench, tmp_path):
 
 
 # -- the command line --
-
-
-class Said(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def call(monkeypatch, capsys, cache_home) -> Callable[..., Said]:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_home))
-
-    def run(*arguments: object) -> Said:
-        monkeypatch.setattr(sys, "argv", ["hydrojax", *map(str, arguments)])
-        capsys.readouterr()
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        return Said(code, *capsys.readouterr())
-
-    return run
 
 
 def text_of(said: Said) -> str:

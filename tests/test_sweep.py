@@ -270,3 +270,12 @@ def test_disagreement_and_saturation_are_on_the_map(setting, known):
     text = [t.get_text() for t in fig.legends[0].get_texts()]
     assert "saturates > 1 %" in text
     assert set(maps.figures(data)) >= {"map_within_1dB", "map_rms_error", "bode"}
+
+
+def test_an_axis_of_one_value_is_no_axis_of_a_picture(setting, known):
+    """Two axes, one of a single value: lines over the other, and its Bode plots."""
+    data = sweep.run(plan_of(setting, known, ["k_p=1.2", "k_f=1,2.4"]))
+    assert maps.axes_of(data) == ["k_p", "k_f"]
+    assert set(maps.figures(data)) == {"lines", "bode"}
+    alone = sweep.run(plan_of(setting, known, ["k_p=1.2"]))
+    assert set(maps.figures(alone)) == {"lines", "bode"}

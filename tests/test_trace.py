@@ -76,6 +76,9 @@ def test_an_effect_is_named_and_measured(traced, name):
         found = effect.parameters[parameter]
         assert found.value == pytest.approx(value, rel=share), parameter
         assert found.identified and found.std < 0.1 * value
+    for key, channel in outcome.channels.items():
+        assert effect.before[key] == channel.before
+        assert effect.after[key] == channel.after
     assert effect.p_value < 0.01
     assert name in outcome.sentence
 
@@ -339,7 +342,6 @@ def test_a_family_tells_what_is_clear_beyond_its_draws():
     clear = replace(scores["3"], p_value=1e-12)
     found = family({**scores, "3": clear})
     assert 1e-12 <= found["3"] <= 1.2 * 20 * 1e-12
-
 
 
 # -- what is left, in words --

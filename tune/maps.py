@@ -286,6 +286,9 @@ def bode_figure(
 def figures(data: xr.Dataset) -> dict[str, Figure]:
     """What a sweep shows, by the name of its file."""
     out: dict[str, Figure] = {}
+    names = axes_of(data)
+    # An axis of one value is a title, not an axis.
+    data = near_rig(data, [n for n in names if data.sizes[n] > 1] or names[:1])
     if len(axes_of(data)) == 1:
         out["lines"] = line_figure(data)
     else:

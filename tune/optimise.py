@@ -39,11 +39,6 @@ class Found:
         """Whether nothing is broken."""
         return min(self.slack.values()) > -TIGHT
 
-    @property
-    def holds(self) -> tuple[str, ...]:
-        """Constraints that stand at their end."""
-        return tuple(n for n, s in self.slack.items() if s < TIGHT)
-
 
 def tune(
     goal: Goal,

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..control import Nine, mean_area, within
+from ..control import Nine, truth, within
 from ..load import Driven, Road
 from ..loop import Course, Loop, begin, step
 from ..quantities import Setting
@@ -44,12 +44,7 @@ SLOW = 60.0
 
 def estimates(loop: Loop, adapted: bool = True) -> Nine:
     """Where the nine estimates stand, SI."""
-    law, plant = loop.law, loop.rig
-    truth = Nine(
-        1 / plant.chambers.beta,
-        mean_area(plant),
-        *(getattr(plant.mechanics, name) for name in Nine._fields[2:]),
-    )
+    law = loop.law
 
     def one(true, lower, upper, rate):
         middle = (lower + upper) / 2
@@ -57,7 +52,7 @@ def estimates(loop: Loop, adapted: bool = True) -> Nine:
             middle
         )  # fmt: skip
 
-    return jax.tree.map(one, truth, law.lower, law.upper, law.rate)
+    return jax.tree.map(one, truth(loop.rig), law.lower, law.upper, law.rate)
 
 
 def frozen(loop: Loop) -> Loop:

@@ -5,18 +5,17 @@ from __future__ import annotations
 import base64
 import io
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
-import tomlkit
 from matplotlib.figure import Figure
 
+from .. import rewrite
+from ..build import load_rig
+from ..files import write_all
 from .outcome import Tuned, least, most
 
 _BEFORE, _AFTER = "#b2382e", "#1f4e9c"
@@ -161,54 +160,40 @@ def write(t: Tuned, rig: Path, out: Path) -> None:
         rig: the file whose copy gets the gains; its comments stay.
         out: the folder.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    shown = []
-    with tempfile.TemporaryDirectory(dir=out) as folder:
-        draft = Path(folder)
-        for name, (figure, alt, caption) in pictures(t).items():
-            store = io.BytesIO()
-            figure.savefig(store, format="png", dpi=110)
-            (draft / f"{name}.png").write_bytes(store.getvalue())
-            data = base64.b64encode(store.getvalue()).decode("ascii")
-            shown.append(
-                {
-                    "data": f"data:image/png;base64,{data}",
-                    "alt": alt,
-                    "caption": caption,
-                }
-            )
-        text = json.dumps(t.json(), indent=1, allow_nan=False)
-        (draft / "tune.json").write_text(text + "\n")
-        (draft / "rig.toml").write_text(with_gains(rig, t.gains, t.units))
-        page = jinja2.Environment(autoescape=True).from_string(
-            (Path(__file__).parent / "report.html").read_text(encoding="utf-8")
-        )
-        (draft / "report.html").write_text(
-            page.render(
-                t=t, rows=table(t), pictures=shown, sentence=sentence(t),
-                limit=limit(t), show=show,
-            ),
-            encoding="utf-8",
-        )  # fmt: skip
-        for path in draft.iterdir():
-            os.replace(path, out / path.name) if path.is_file() else shutil.move(
-                path, out
-            )
+    files, shown = {}, []
+    for name, (figure, alt, caption) in pictures(t).items():
+        store = io.BytesIO()
+        figure.savefig(store, format="png", dpi=110)
+        files[f"{name}.png"] = store.getvalue()
+        data = base64.b64encode(store.getvalue()).decode("ascii")
+        address = f"data:image/png;base64,{data}"
+        shown.append({"data": address, "alt": alt, "caption": caption})
+    text = json.dumps(t.json(), indent=1, allow_nan=False)
+    files["tune.json"] = (text + "\n").encode()
+    files["rig.toml"] = with_gains(rig, t.gains, t.units).encode()
+    page = jinja2.Environment(autoescape=True).from_string(
+        (Path(__file__).parent / "report.html").read_text(encoding="utf-8")
+    )
+    said = page.render(
+        t=t, rows=table(t), pictures=shown, sentence=sentence(t), limit=limit(t),
+        show=show,
+    )  # fmt: skip
+    files["report.html"] = said.encode()
+    write_all(out, files)
 
 
 def with_gains(rig: Path, gains: Mapping[str, float], units: Mapping[str, str]) -> str:
     """A rig file's text with other gains, all else, comments too, as it was."""
-    text = tomlkit.parse(rig.read_text(encoding="utf-8-sig"))
-    controller = text.setdefault("controller", tomlkit.table())
+    spec = load_rig(rig)
+    keys: dict[str, Any] = {}
     for name, value in gains.items():
-        unit = "" if units[name] == "1" else f" {units[name]}"
-        written = f"{value:.6g}{unit}"
+        written = rewrite.text(value, units[name])
         key, _, end = name.removesuffix("_hat").rpartition("_")
         if end in ("lower", "upper"):
-            both = controller.get(key, [written, written])
+            both = keys.get(key, spec.controller.get(key, written))
             both = list(both) if isinstance(both, list) else [both, both]
             both[end == "upper"] = written
-            controller[key] = both
+            keys[key] = both
         else:
-            controller[name.removesuffix("_hat")] = written
-    return tomlkit.dumps(text)
+            keys[name.removesuffix("_hat")] = written
+    return rewrite.rewrite(spec, {}, controller=keys)

@@ -37,6 +37,17 @@ def open_rig(
     named = [word.partition("=")[0].strip() for word in (*at, *over)]
     setting = open_setting(spec, gains, named)
     known = quantities(spec, setting)
+    return spec, placed(setting, known, at), known
+
+
+def placed(
+    setting: Setting, known: Mapping[str, Quantity], at: Sequence[str]
+) -> Setting:
+    """A setting with quantities set by `name=value` words.
+
+    Raises:
+        InputError: a name or a value that will not do.
+    """
     for word in at:
         name, sign, text = word.partition("=")
         where = f"--at {word!r}"
@@ -44,7 +55,7 @@ def open_rig(
             raise InputError(f"{where}: write NAME=VALUE, such as v=0.01")
         quantity = find(known, name.strip(), where)
         setting = quantity.put(setting, quantity.number(text.strip(), where))
-    return spec, setting, known
+    return setting
 
 
 def make_plants(

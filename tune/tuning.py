@@ -22,7 +22,7 @@ from ..rigfile import RigSpec
 from . import axes, optimise, outcome
 from .axes import Plants
 from .goal import Goal, Limits
-from .run import make_plants
+from .run import make_plants, placed
 
 PLANTS = 8
 """Plants of an ensemble where nothing else is said."""
@@ -70,11 +70,7 @@ def tune(
     setting = open_setting(spec, None, (*named, *(w.partition("=")[0] for w in at)))
     setting = _as_found(setting, report)
     known = quantities(spec, setting)
-    for word in at:
-        name, _, text = word.partition("=")
-        quantity = find(known, name.strip(), f"--at {word!r}")
-        value = quantity.number(text.strip(), f"--at {word!r}")
-        setting = quantity.put(setting, value)
+    setting = placed(setting, known, at)
     free = tuple(free) or _default_free(setting)
     chosen = [_gain(known, name) for name in free]
     plants = make_plants(setting, count, spread, folder if _fitted(report) else None)

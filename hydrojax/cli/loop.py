@@ -10,8 +10,10 @@ from rich.table import Table
 
 from ..backend import set_up_jax, user_cache
 from ..errors import InputError
+from ..files import write_all
 from .desk import (
     Effects,
+    Gains,
     Logs,
     Out,
     RigFile,
@@ -28,14 +30,7 @@ from .desk import (
 @app.command()
 def simulate(
     rig: RigFile,
-    gains: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Keys of [controller] to replace, as k_p=1.5 or 'A_a=6 V*s,15 V*s': "
-            "all words that follow.",
-            show_default=False,
-        ),
-    ] = None,
+    gains: Gains = None,
     reference: Annotated[
         str,
         typer.Option(
@@ -63,6 +58,7 @@ def simulate(
     load_effects(effects)
     import warnings
 
+    import equinox as eqx
     import numpy as np
 
     from .. import record, simulation
@@ -77,7 +73,7 @@ def simulate(
         course = record.read_course(spec, loop, reference, motion, seconds, seed)
         x = course.road.x
         own = make_effects(spec.effects, spec, (float(x.min()), float(x.max())))
-        loop = make_loop(spec, make_rig(spec, own), given(gains or []))
+        loop = eqx.tree_at(lambda lo: lo.rig, loop, make_rig(spec, own))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # said below, in one line
             run = simulation.simulate(loop, course)
@@ -187,15 +183,18 @@ def bounds(
 
     from .. import roof
     from ..identify import run
+    from ..identify.figures import png
 
     with progress() as tell:
         case = run.open_case(rig, logs, validate or ())
         found = roof.friction_bounds(case, confidence, stretch, tell)
         figure = roof.bounds_figure(found)
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "rig.toml").write_text(found.rig_file, encoding="utf-8")
-    (out / "bounds.json").write_text(json.dumps(roof.json_of(found), indent=1) + "\n")
-    figure.savefig(out / "bounds.png", dpi=120)
+    files = {
+        "rig.toml": found.rig_file.encode(),
+        "bounds.json": (json.dumps(roof.json_of(found), indent=1) + "\n").encode(),
+        "bounds.png": png(figure),
+    }
+    write_all(out, files)
     table = Table("F_d - F, N RMS", "plants fitted", "plants that took no part")
     for way, error in found.fitted.items():
         other = f"{found.others[way]:.3g}" if found.others else "-"
@@ -215,6 +214,7 @@ def paper(out: Out = Path("hydrojax-paper")) -> None:
     import json
 
     from .. import paper as experiments
+    from ..identify.figures import png
     from ..paper_figures import figures
 
     with progress() as tell:
@@ -222,10 +222,9 @@ def paper(out: Out = Path("hydrojax-paper")) -> None:
         tell("draw")
         drawn = figures(found)
         content = experiments.json_of(found)
-    out.mkdir(parents=True, exist_ok=True)
-    for name, figure in drawn.items():
-        figure.savefig(out / f"{name}.png", dpi=120)
-    (out / "paper.json").write_text(json.dumps(content, indent=1) + "\n")
+    files = {f"{name}.png": png(figure) for name, figure in drawn.items()}
+    files["paper.json"] = (json.dumps(content, indent=1) + "\n").encode()
+    write_all(out, files)
     table = Table("RMS, N", "a", "b", "c", "d")
     for name in ("fig2", "fig3", "fig4"):
         table.add_row(name, *(f"{v:.3g}" for v in content[name].values()))
