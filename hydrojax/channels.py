@@ -16,9 +16,8 @@ from jaxtyping import Array
 
 from .params import Effect, param
 
-QUEUE = 48
-"""Steps of command that a delay can reach back: 11 ms on a log at 1 kHz, whose ticks
-are run in four parts."""
+QUEUE = 16
+"""Ticks of command that a delay holds: it reaches back one less, 15 ms at 1 kHz."""
 
 
 class CommandChannel(Effect):
@@ -33,12 +32,25 @@ class CommandChannel(Effect):
         return ()
 
     def step(self, memory, u: Array, h: Array):
-        """One tick of length `h`: new memory and the mean of the output over it."""
+        """One step of length `h`: new memory and the mean of the output over it."""
         raise NotImplementedError
+
+    def parts(self, memory, us: list[Array], h: Array):
+        """A tick cut into steps of length `h`: new memory, and each step's mean."""
+        out = []
+        for u in us:
+            memory, u = self.step(memory, u, h)
+            out.append(u)
+        return memory, out
 
 
 class ValveDelay(CommandChannel):
-    """`u(t - tau_u)` of a held command (V13); exact for the mean over a tick."""
+    """`u(t - tau_u)` of a held command (V13); exact for the mean over a step.
+
+    It is first on the command's path, where the command is the same in all parts of a
+    tick: so it needs to remember ticks only, and what the others make of a command
+    they make of a late one.
+    """
 
     name = "valve_delay"
     betrayed_by = "u_rate"
@@ -50,13 +62,21 @@ class ValveDelay(CommandChannel):
         return jnp.broadcast_to(u[..., None], (*jnp.shape(u), QUEUE))
 
     def step(self, memory, u, h):
+        memory, (u,) = self.parts(memory, [u], h)
+        return memory, u
+
+    def parts(self, memory, us, h):
+        u, n = us[0], len(us)
         memory = jnp.concatenate([u[..., None], memory[..., :-1]], axis=-1)
         # No further back than the queue: a longer delay reads its oldest command.
-        ticks = jnp.minimum(jnp.broadcast_to(self.tau_u / h, u.shape), QUEUE - 1)
-        whole = jnp.clip(jnp.floor(ticks), 0, QUEUE - 2).astype(int)[..., None]
-        newer = jnp.take_along_axis(memory, whole, axis=-1)[..., 0]
-        older = jnp.take_along_axis(memory, whole + 1, axis=-1)[..., 0]
-        return memory, newer + (ticks - whole[..., 0]) * (older - newer)
+        steps = jnp.minimum(jnp.broadcast_to(self.tau_u / h, u.shape), n * (QUEUE - 1))
+        whole = jnp.floor(steps)
+        share = (steps - whole)[..., None]
+        # Each part is a mean of two held commands, its own and the one a part older.
+        back = jnp.arange(n, -1, -1) + whole[..., None].astype(int)
+        held = jnp.take_along_axis(memory, jnp.minimum(back // n, QUEUE - 1), axis=-1)
+        mean = held[..., 1:] + share * (held[..., :-1] - held[..., 1:])
+        return memory, [mean[..., i] for i in range(n)]
 
 
 class ValveBias(CommandChannel):

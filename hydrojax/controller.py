@@ -19,7 +19,6 @@ from .load import Driven, Inertia
 from .loop import Loop, Sensors
 from .rig import Rig
 from .rigfile import RigSpec
-from .simulation import PARTS
 
 ENCODER = 2 * np.pi / 2**23
 """The paper's absolute encoder of 23 bits: one step, rad."""
@@ -137,7 +136,7 @@ def _start(rig: Rig, middle: float) -> float:
 
 def _check_delay(spec: RigSpec, rig: Rig, h: float) -> None:
     """Refuse a delay that its queue would cut short."""
-    reach = (QUEUE - 1) / PARTS * h
+    reach = (QUEUE - 1) * h
     for channel in rig.command:
         if isinstance(channel, ValveDelay) and float(channel.tau_u) > reach:
             raise InputError(

@@ -89,15 +89,11 @@ class Rig(eqx.Module):
 
         Returns the memories and the spool's mean opening over each part.
         """
-        openings = []
-        for _ in range(parts):
-            spool, out = u, []
-            for channel, m in zip(self.command, memory, strict=True):
-                m, spool = channel.step(m, spool, h / parts)
-                out.append(m)
-            memory = tuple(out)
-            openings.append(spool)
-        return memory, openings
+        openings, out = [u] * parts, []
+        for channel, m in zip(self.command, memory, strict=True):
+            m, openings = channel.parts(m, openings, h / parts)
+            out.append(m)
+        return tuple(out), openings
 
     def command_step(
         self, memory: tuple, u: Array, h: Array

@@ -18,7 +18,6 @@ from ..effects import EFFECTS
 from ..errors import InputError
 from ..params import Effect, specs
 from ..rewrite import rewrite
-from ..rig import PARTS
 from ..rigfile import RigSpec
 from ..signals import Log, read_log
 from .closed_loop import check_loop
@@ -152,7 +151,7 @@ def _problems(
         known |= free_effect(name, specs(effects[name]))
     if "valve_delay.tau_u" in known:
         # A delay reaches no further back than its queue, which counts in ticks.
-        reach = (QUEUE - 1) / PARTS * float(np.min(case.fit.windows.h))
+        reach = (QUEUE - 1) * float(np.min(case.fit.windows.h))
         f = known["valve_delay.tau_u"]
         known["valve_delay.tau_u"] = replace(f, upper=min(f.upper, reach))
     problem = Problem.of(rig, free, case.fit)

@@ -97,22 +97,25 @@ def test_delay_of_any_time_is_the_exact_mean(share, h):
     assert np.allclose(got, delayed_means(u, share * h, h), rtol=1e-9, atol=1e-10)
 
 
-def test_delay_reaches_its_range_on_a_log_at_1_khz():
+@pytest.mark.parametrize("tau_u", [0.0, 1e-6, 0.0004, 0.0013, 0.0075, 0.011])
+def test_a_delay_is_the_exact_mean_over_each_part_of_a_tick(tau_u):
     u = held()
+    late = ValveDelay(tau_u=tau_u)
+
+    def tick(memory, value):
+        memory, means = late.parts(memory, [value] * 4, H / 4)
+        return memory, jnp.stack(means)
+
+    got = jax.lax.scan(tick, late.init(jnp.asarray(u[0])), jnp.asarray(u))[1]
+    wanted = delayed_means(np.repeat(u, 4), tau_u, H / 4)
+    assert np.allclose(np.ravel(got), wanted, rtol=1e-9, atol=1e-10)
+
+
+def test_delay_past_its_queue_reads_the_oldest_command():
+    u = np.sign(held(seed=3))
     got = run(ValveDelay(tau_u=0.011), u, H / 4)[0]
-    assert np.allclose(got, delayed_means(u, 0.011, H / 4), rtol=1e-9, atol=1e-10)
-
-
-def test_delay_past_its_queue_stays_within_what_was_written():
-    """On a log at 4 kHz, whose ticks are run in four parts.
-
-    FAILS as of this writing: `ValveDelay.step` bounds the whole steps but not the
-    fraction, so a delay past its queue extrapolates instead of holding.
-    """
-    u = np.repeat(np.sign(held(seed=3)), 4)
-    got = run(ValveDelay(tau_u=0.011), u, H / 16)[0]
-    assert QUEUE < 0.011 / (H / 16)
-    assert np.max(np.abs(got)) <= 1 + 1e-9
+    assert QUEUE < 0.011 / (H / 4)
+    assert np.allclose(got[QUEUE:], u[1 : 1 - QUEUE], rtol=0, atol=1e-12)
 
 
 # -- slew --

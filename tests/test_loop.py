@@ -437,9 +437,9 @@ def test_a_differential_cylinder_of_two_to_one_begins_inside_the_supply(tmp_path
 
 
 def test_a_delay_beyond_its_queue_is_refused(tmp_path):
-    """Forty-seven quarters of a period: 2.9 ms at 4 kHz."""
+    """Fifteen periods: 3.75 ms at 4 kHz."""
     path = tmp_path / "rig.toml"
-    for delay, refused in (("2.9 ms", False), ("3 ms", True)):
+    for delay, refused in (("3.7 ms", False), ("3.8 ms", True)):
         path.write_text(f'{DIFFERENTIAL}[effects.valve_delay]\ntau_u = "{delay}"\n')
         if refused:
             with pytest.raises(InputError, match="tau_u"):
