@@ -185,7 +185,7 @@ def _log(word: str, kinds: Mapping[str, object], spec: RigSpec) -> Log | None:
     """The log that a word names, if it names one."""
     if word.partition(":")[0] in kinds:
         return None
-    if word.lower().endswith(KINDS) or Path(word).is_file():
+    if word.lower().endswith((*KINDS, ".mcap")) or Path(word).exists():
         return read_log(word, spec.channels)
     near = get_close_matches(word.partition(":")[0], kinds, n=1, cutoff=0.5)
     mend = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(kinds)}"

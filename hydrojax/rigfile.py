@@ -21,10 +21,12 @@ Layout = Literal["pull-pull", "differential", "single", "driven-axis"]
 ControllerValue = str | int | float | list[str | int | float]
 """A quantity, a number in the paper's unit, or two bounds of either."""
 
-_GEOMETRY = {
+GEOMETRY = {
     "area": "m^2", "area_1": "m^2", "area_2": "m^2",
     "chamber_length": "m", "radius": "m", "x_mid": "m",
 }  # fmt: skip
+"""What [geometry] may hold, and the SI unit."""
+
 _NEEDED = {
     "pull-pull": ("area", "chamber_length"),
     "differential": ("area_1", "area_2", "chamber_length"),
@@ -35,7 +37,8 @@ _SUPPLY = {"P_s": "Pa", "P_r": "Pa"}
 SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
 """Supply and return pressure (Pa) where neither log nor rig file has them."""
 
-_LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
+LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
+"""What [load] may hold, and the SI unit."""
 
 
 @dataclass(frozen=True)
@@ -159,10 +162,10 @@ def read_rig(
     spec = RigSpec(
         name=file.name or path.stem,
         layout=file.layout,
-        geometry=_quantities(f"{path}: [geometry]", file.geometry, _GEOMETRY),
+        geometry=_quantities(f"{path}: [geometry]", file.geometry, GEOMETRY),
         supply=_quantities(f"{path}: [supply]", file.supply, _SUPPLY),
         sensors=_quantities(f"{path}: [sensors]", file.sensors, noise_units),
-        load=_quantities(f"{path}: [load]", file.load, _LOAD),
+        load=_quantities(f"{path}: [load]", file.load, LOAD),
         channels=file.channels,
         parameters={g.field: _entry(g, command) for g in base},
         effects={
@@ -337,7 +340,7 @@ def _check(spec: RigSpec) -> None:
         if key not in spec.geometry:
             raise InputError(
                 f"{spec.path}: [geometry] {key} is missing, which layout "
-                f'{spec.layout!r} needs; add {key} = "... {_GEOMETRY[key]}"'
+                f'{spec.layout!r} needs; add {key} = "... {GEOMETRY[key]}"'
             )
     positive = {"geometry": spec.geometry, "sensors": spec.sensors}
     for section, values in positive.items():

@@ -3,7 +3,8 @@
 A CSV or Parquet column is called `name [unit]`. In a MAT file the vectors are
 variables called by name, at the top or in a struct `log`; their units are the fields
 of a struct `units`, or variables `<name>_unit`. The rig file's [channels] may rename a
-column, give its unit (which then wins over the file's) and turn its sign round.
+column, give its unit (which then wins over the file's) and turn its sign round. In an
+MCAP file or a ROS 2 bag it says which topic and field a signal is; see `bags`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ import pandas as pd
 from pydantic import BaseModel, ConfigDict
 
 from . import units
+from .bagfile import is_bag
+from .bags import read_bag
 from .errors import InputError
 from .tables import Column, File, read_table
 
@@ -78,12 +81,13 @@ def read_log(
     channels: Mapping[str, Channel] | None = None,
     shortest: float = 0.5,
 ) -> Log:
-    """Read a run from .csv, .csv.gz, .parquet or .mat (v5 or v7.3).
+    """Read a run from .csv, .csv.gz, .parquet, .mat (v5 or v7.3), .mcap or a bag.
 
-    Nothing is interpolated: gaps in time and missing numbers cut the run in segments.
+    Gaps in time and missing numbers cut the run in segments: nothing is interpolated
+    over them. See `bags.read_bag` for what brings a bag's channels to common rows.
 
     Args:
-        path: the file; its name's ending says what it is.
+        path: the file, whose ending says what it is, or the folder of a ROS 2 bag.
         channels: where signals are that the file calls otherwise, by contract name.
         shortest: s, the least length of a segment.
 
@@ -93,9 +97,13 @@ def read_log(
             number, or does not move; time is missing, falls or repeats in some row
             (rows that share a stamp of a coarse clock are averaged).
     """
-    path = Path(path)
-    file = read_table(path)
-    found, notes = _assign(file, channels or {})
+    path, channels = Path(path), channels or {}
+    if is_bag(path):
+        file = read_bag(path, {name: c.column for name, c in channels.items()})
+    else:
+        file = read_table(path)
+    found, notes = _assign(file, channels)
+    notes = [*file.notes, *notes]
     arrays, stored = {}, {}
     for name, (column, unit, sign) in found.items():
         values, stored[name] = _si(file, name, column, unit)
@@ -130,8 +138,9 @@ def read_log(
         )
     used = {id(column) for column, _, _ in found.values()}
     ignored = tuple(c.label for c in file.columns if id(c) not in used)
+    name = path.absolute().name  # of "." too
     return Log(
-        path.name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts)
+        name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts)
     )
 
 
@@ -189,6 +198,11 @@ def _si(
         mend = f"call it '{name} [{such}]'"
         if file.path.suffix.lower() == ".mat":
             mend = f"add a variable {name}_unit = '{such}'"
+        if is_bag(file.path):
+            raise InputError(
+                f"{where} has no unit; set unit = {such!r} in the rig file's "
+                f"[channels] {name}"
+            )
         raise InputError(
             f"{where} has no unit; {mend}, or set one in the rig file's [channels] "
             f"{name}"

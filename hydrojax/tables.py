@@ -33,6 +33,7 @@ class File:
     path: Path
     columns: list[Column]
     header: int  # lines before the first row, 0 if rows are not lines
+    notes: tuple[str, ...] = ()  # remarks on how it was read
 
     def row(self, index: int) -> str:
         """What a message calls the row: its number, and its line where it has one."""
@@ -52,7 +53,9 @@ def read_table(path: Path) -> File:
     }  # fmt: skip
     ending = next((e for e in kinds if path.name.lower().endswith(e)), None)
     if ending is None:
-        raise InputError(f"{path}: not a kind of log; save it as {', '.join(kinds)}")
+        raise InputError(
+            f"{path}: not a kind of log; save it as {', '.join(kinds)} or .mcap"
+        )
     if not path.is_file():
         raise InputError(f"{path}: no such file; check the path")
     if path.stat().st_size == 0:
@@ -61,14 +64,17 @@ def read_table(path: Path) -> File:
     try:
         columns = reader(path)
     except Exception as err:  # every library has its own kinds for a broken file
-        detail = (
-            " ".join(str(err).replace(f" '{path}'", "").split())[:100]
-            or type(err).__name__
-        )
-        raise InputError(
-            f"{path}: not a readable {kind} file ({detail}); export it again as {kind}"
-        ) from err
+        mend = f"export it again as {kind}"
+        raise unreadable(path, f"{kind} file", err, mend) from err
     return File(path, columns, header=1 if reader is _csv else 0)
+
+
+def unreadable(path: Path, kind: str, error: Exception, mend: str) -> InputError:
+    """What to raise where a library cannot read a file of the kind."""
+    words = " ".join(str(error).replace(f" '{path}'", "").split())[:100]
+    return InputError(
+        f"{path}: not a readable {kind} ({words or type(error).__name__}); {mend}"
+    )
 
 
 def _labelled(label: object, values: Any) -> Column:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -166,3 +170,19 @@ class Outcome:
     loops: tuple[LoopCheck, ...] = ()
     covariance: Covariance | None = None
     rig_file: str = ""
+
+    def plot(self, picture: str | None = None) -> Figure:
+        """The most telling picture, or one of those of the report by its name.
+
+        Raises:
+            InputError: no such picture, or nothing to show in it.
+        """
+        from . import show  # it draws: whoever only reads an outcome needs no pictures
+
+        return show.plot(self, picture)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        from . import show
+
+        return show.html(self)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,20 +15,21 @@ import jinja2
 from ..files import write_all
 from . import figures, residuals
 from .naming import p_text, quantity, words
-from .outcome import Channel, Effect, LoopCheck, Outcome, Parameter
+from .outcome import Effect, LoopCheck, Outcome, Parameter
 from .scope import scope
+from .show import (
+    PICTURES,
+    change,
+    draw,
+    listed,
+    remarks,
+    share,
+    standing,
+    times_noise,
+)
 from .trace import AT_NOISE
 
 FORMAT = "hydrojax-report/1"
-PICTURES = {
-    "error": figures,
-    "betrayal": residuals,
-    "residual": residuals,
-    "loop": residuals,
-    "ranking": figures,
-    "parameter": figures,
-}
-"""In the order of the page, where `<name>_figure` is; its file is `report_<name>.png`."""
 
 
 def json_of(outcome: Outcome) -> dict[str, Any]:
@@ -102,54 +103,6 @@ def _strict(value: Any) -> Any:
     return value
 
 
-def change(p: Parameter) -> str:
-    """How far a parameter moved from its start, in per cent of that."""
-    if not p.start or not math.isfinite(p.value / p.start):
-        return "–"
-    percent = 100 * (p.value - p.start) / abs(p.start)
-    if abs(percent) >= 1000:
-        return f"× {p.value / p.start:.3g}".replace("-", "−")
-    return f"{percent:+.1f} %".replace("-", "−")
-
-
-def remarks(p: Parameter) -> str:
-    """What a reader has to know before using a parameter."""
-    said = []
-    if p.at_bound:
-        said.append("at the end of its range: its interval holds on one side only")
-    if not p.identified:
-        said.append("not identified: these logs do not determine it")
-    return "; ".join(said)
-
-
-def times_noise(value: float, noise: float) -> str:
-    """An error in multiples of the noise."""
-    if not math.isfinite(value) or not 0 < noise < math.inf:
-        return "–"
-    ratio = value / noise
-    return f"{ratio:.2f} × noise" if ratio < 100 else f"{ratio:.0f} × noise"
-
-
-def standing(c: Channel) -> str:
-    """Where a channel's error stands, in words."""
-    if not math.isfinite(c.after) or not 0 < c.noise < math.inf:
-        return "not compared"
-    return "at its noise" if c.after <= AT_NOISE * c.noise else "above its noise"
-
-
-def share(value: float) -> str:
-    """A share of chi-square in per cent."""
-    if not math.isfinite(value):
-        return "–"
-    return f"{100 * value:.2g} %" if value >= 1e-4 else "< 0.01 %"
-
-
-def listed(names: Sequence[str]) -> str:
-    """Names of effects as a phrase: `a`, `a or b`, `a, b or c`."""
-    said = [words(n) for n in names]
-    return " or ".join([", ".join(said[:-1]), said[-1]] if len(said) > 1 else said)
-
-
 @dataclass(frozen=True)
 class Picture:
     """A figure as PNG, with what stands below it and what is read in its place."""
@@ -168,9 +121,8 @@ class Picture:
 def pictures(outcome: Outcome) -> list[Picture]:
     """All figures that this outcome has something to show in."""
     made = []
-    for name, room in PICTURES.items():
-        draw: Callable[[Outcome], Any] = getattr(room, f"{name}_figure")
-        figure = draw(outcome)
+    for name in PICTURES:
+        figure = draw(outcome, name)
         if figure is not None:
             alt, caption = _described(name, outcome)
             made.append(Picture(name, figures.png(figure), alt, caption))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 from dataclasses import replace
@@ -9,7 +10,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from hydrojax.identify import figures, naming, report, residuals
+from hydrojax.identify import figures, naming, report, residuals, scope
 from hydrojax.identify.outcome import (
     Candidate,
     Channel,
@@ -308,7 +309,8 @@ def test_json_takes_numpy_numbers():
 def test_page_needs_nothing_else(written, name):
     text = (written / name / "report.html").read_text(encoding="utf-8")
     page = Page(text)
-    assert "http" not in text and "@import" not in text and "url(" not in text
+    for word in ("http:", "https:", "@import", "url("):
+        assert word not in text
     assert page.addresses and all(a.startswith("data:") for a in page.addresses)
     assert page.images and all(i["alt"].strip() for i in page.images)
     assert OUTCOMES[name]().sentence in page.said
@@ -433,6 +435,54 @@ def test_condensing_keeps_extremes_and_gaps():
     assert at.size < 80 and np.nanmax(line) == 9.0
     assert np.isnan(line[:-1]).sum() == 1
     assert 0.65 <= at[np.isnan(line)][0] < 0.72
+
+
+def unpacked(line):
+    """Lows and highs of a line of the page, in the channel's printed unit."""
+    scale, low, high = line
+    whole = [np.frombuffer(base64.b64decode(v or low), "<i2") for v in (low, high)]
+    return [np.where(v == -32768, np.nan, v * scale) for v in whole]
+
+
+def test_the_page_holds_a_short_log_sample_by_sample():
+    s = explained().series[0]
+    data = scope.scope(explained())
+    assert [(c["name"], c["unit"]) for c in data["channels"]] == [
+        ("P_a1", "kPa"), ("P_a2", "kPa"), ("F", "N"),
+    ]  # fmt: skip
+    log = data["logs"][0]
+    assert (log["start"], log["size"]) == (0.5, 23500)
+    low, high = unpacked(log["lines"]["P_a1"]["before"])
+    wanted = s.before["P_a1"] / 1e3
+    assert np.allclose(low, wanted, atol=4e-3, equal_nan=True)
+    assert np.array_equal(low, high, equal_nan=True)
+
+
+def test_the_page_holds_a_long_log_as_its_envelope(monkeypatch):
+    monkeypatch.setattr(scope, "BYTES", 40_000)
+    s = explained().series[0]
+    data = scope.scope(replace(explained(), series=(s,)))
+    assert len(json.dumps(data)) < 42_000
+    log = data["logs"][0]
+    low, high = unpacked(log["lines"]["F"]["after"])
+    y = s.after["F"]
+    assert np.nanmin(low) == pytest.approx(np.nanmin(y), rel=1e-3)
+    assert np.nanmax(high) == pytest.approx(np.nanmax(y), rel=1e-3)
+    for i in (1, 200, log["size"] - 2):
+        off = s.t - (log["start"] + i * log["step"])
+        own = y[np.abs(off) < 0.499 * log["step"]]
+        near = y[np.abs(off) < 0.501 * log["step"]]
+        assert np.min(near) - 1e-3 <= low[i] <= np.min(own) + 1e-3
+        assert np.max(own) - 1e-3 <= high[i] <= np.max(near) + 1e-3
+    middle = int((s.t[0] + 12.5 - log["start"]) / log["step"])
+    assert np.isnan(low[middle])  # the gap stays one
+
+
+def test_the_page_shows_one_line_where_nothing_was_changed():
+    s = explained().series[0]
+    same = replace(explained(), series=(replace(s, after=s.before),))
+    assert scope.scope(same)["ways"] == ["after"]
+    assert scope.scope(replace(explained(), series=())) is None
 
 
 def test_bins_follow_a_line():

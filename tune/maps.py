@@ -47,6 +47,12 @@ def near_rig(data: xr.Dataset, keep: list[str]) -> xr.Dataset:
     return data
 
 
+def spread(data: xr.Dataset) -> xr.Dataset:
+    """Without the axes of one value, which are no axes of a picture; one stays."""
+    names = axes_of(data)
+    return near_rig(data, [n for n in names if data.sizes[n] > 1] or names[:1])
+
+
 def _label(data: xr.Dataset, name: str) -> str:
     unit = data[name].attrs.get("units", "")
     return f"{name} ({unit})" if unit not in ("", "1") else name
@@ -286,9 +292,7 @@ def bode_figure(
 def figures(data: xr.Dataset) -> dict[str, Figure]:
     """What a sweep shows, by the name of its file."""
     out: dict[str, Figure] = {}
-    names = axes_of(data)
-    # An axis of one value is a title, not an axis.
-    data = near_rig(data, [n for n in names if data.sizes[n] > 1] or names[:1])
+    data = spread(data)
     if len(axes_of(data)) == 1:
         out["lines"] = line_figure(data)
     else:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -147,3 +149,18 @@ def merits(hertz: Array, H: Array, radius: Array) -> dict[str, Array]:
     }
     found = {n: jnp.where(radius < 1, v, jnp.nan) for n, v in found.items()}
     return found | {"radius": radius}
+
+
+def number(value: Any) -> Any:
+    """A finite number, or None."""
+    return float(value) if np.isfinite(value) else None
+
+
+def least(values: np.ndarray) -> float:
+    """The least bandwidth: an unstable plant has none."""
+    return float(np.min(np.nan_to_num(values, nan=0.0)))
+
+
+def most(values: np.ndarray) -> float | None:
+    """The largest, None if one is unstable."""
+    return number(np.max(values))

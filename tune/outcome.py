@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,10 @@ from ..quantities import Quantity, Setting
 from . import optimise
 from .axes import Plants
 from .goal import Goal, Limits
+from .merits import least, most, number
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FREE = ("k_p", "k_f", "k_1")
 """What is tuned where nothing else is said: both gains, and how much of the desired
@@ -81,25 +85,22 @@ class Tuned:
             "worst_of_ensemble": worst,
         }
 
+    def plot(self) -> Figure:
+        """Gain and phase before and after, with the ensemble's range."""
+        from . import tuned  # it draws: whoever only reads a tuning needs no pictures
+
+        return tuned.bode_figure(self)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        from . import tuned
+
+        return tuned.html(self)
+
 
 def own(found: dict[str, np.ndarray]) -> dict[str, float]:
     """The rig's own merits, by tune.json's names; null where it is unstable."""
     return {name: number(found[key][0]) for key, name in MERITS.items()}
-
-
-def number(value: Any) -> Any:
-    """A finite number, or None."""
-    return float(value) if np.isfinite(value) else None
-
-
-def least(values: np.ndarray) -> float:
-    """The least bandwidth: an unstable plant has none."""
-    return float(np.min(np.nan_to_num(values, nan=0.0)))
-
-
-def most(values: np.ndarray) -> float | None:
-    """The largest, None if one is unstable."""
-    return number(np.max(values))
 
 
 def widen(setting: Setting, plants: Plants) -> Plants:

@@ -10,143 +10,27 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-import numpy as np
 from matplotlib.figure import Figure
 
 from .. import rewrite
 from ..build import load_rig
 from ..files import write_all
-from .outcome import Tuned, least, most
-
-_BEFORE, _AFTER = "#b2382e", "#1f4e9c"
-
-ROWS = (
-    ("Within 1 dB", "within_1dB", "Hz", 1.0, min),
-    ("Down by 3 dB", "minus_3dB", "Hz", 1.0, min),
-    ("Lag of 90°", "lag_90", "Hz", 1.0, min),
-    ("Peak", "peak", "dB", 1.0, max),
-    ("Gain margin", "gain_margin", "dB", 1.0, min),
-    ("Phase margin", "phase_margin", "°", 1.0, min),
-    ("Delay margin", "delay_margin", "ms", 1e3, min),
-    ("Tracking, RMS", "rms", "N", 1.0, max),
-    ("Force by sensor noise, RMS", "noise_F", "N", 1.0, max),
-    ("Command by sensor noise, RMS", "noise_u", "V", 1.0, max),
-)
-
-
-def show(value: Any, unit: str) -> str:
-    """A number with its unit; a dash for none."""
-    if value is None or not np.isfinite(value):
-        return "–"
-    return f"{value:.3g} {unit}".replace("-", "−")
-
-
-def table(t: Tuned) -> list[tuple[str, ...]]:
-    """Before and after, the rig's and the worst plant's."""
-    out = []
-    for title, name, unit, factor, worst in ROWS:
-        cells = []
-        for found in (t.before, t.after):
-            values = np.asarray(found[name]) * factor
-            cells.append(show(values[0], unit))
-            cells.append(
-                show(worst(values) if np.all(np.isfinite(values)) else None, unit)
-            )
-        out.append((title, *cells))
-    return out
-
-
-def sentence(t: Tuned) -> str:
-    """The gist in one line."""
-    was, now = (least(f["within_1dB"]) for f in (t.before, t.after))
-    if not now:
-        return "No gains were found at which every plant of the ensemble is stable."
-    peaks = [most(f["peak"]) for f in (t.before, t.after)]
-    said = f"Within 1 dB up to {now:.1f} Hz for every plant"
-    if was:
-        said += f", {now / was:.2f} times the {was:.1f} Hz before"
-    said += f"; peak at most {peaks[1]:.1f} dB"
-    if peaks[0] is not None:
-        said += f", {peaks[0]:.1f} before"
-    broken = [n for n, s in t.found.slack.items() if s < -0.02]
-    return said + (f". Not kept: {', '.join(broken)}." if broken else ".")
-
-
-def limit(t: Tuned) -> str:
-    """What holds the loop back most, in words."""
-    gains = [r for r in t.relaxed if r.gain > 0.03]
-    if not gains:
-        return "Nothing that was tried by itself would widen it by more than 3 %."
-    top = gains[0]
-    return (
-        f"Most of all: {top.what.partition(':')[0]}. Without it the worst plant would "
-        f"reach {top.band:.1f} Hz, {100 * top.gain:+.0f} %."
-    )
-
-
-def bode_figure(t: Tuned) -> Figure:
-    """Gain and phase before and after, with the ensemble's range."""
-    fig = Figure(figsize=(8.0, 6.2), layout="constrained")
-    top, bottom = fig.subplots(2, 1, sharex=True)
-    for found, colour, label in (
-        (t.before, _BEFORE, "before"),
-        (t.after, _AFTER, "after"),
-    ):
-        stable = np.asarray(found["radius"]) < 1
-        H = np.asarray(found["response"])
-        dB = 20 * np.log10(np.maximum(np.abs(H), 1e-9))
-        angle = np.rad2deg(np.unwrap(np.angle(H), axis=-1))
-        for ax, y in ((top, dB), (bottom, angle)):
-            if stable.sum() > 1:
-                y_s = y[stable]
-                ends = y_s.min(0), y_s.max(0)
-                ax.fill_between(t.hertz, *ends, color=colour, alpha=0.18, lw=0)
-            ax.plot(t.hertz, y[0], color=colour, label=label)
-        if stable[0]:
-            top.axvline(float(found["within_1dB"][0]), color=colour, lw=0.8, ls="--")
-    top.axhspan(-1, 1, color="0.9", zorder=0)
-    top.set_ylim(-15, 15)
-    bottom.set_ylim(-270, 30)
-    top.set_ylabel("|F/F_d| (dB)")
-    bottom.set_ylabel("phase (deg)")
-    bottom.set_xlabel("frequency (Hz)")
-    for ax in (top, bottom):
-        ax.set_xscale("log")
-        ax.set_xlim(0.5, 200)
-        ax.grid(alpha=0.3)
-    top.legend()
-    top.set_title(f"{t.rig}: linearised, adaptation frozen", fontsize=10)
-    return fig
-
-
-def limits_figure(t: Tuned) -> Figure:
-    """What each limit costs, as bars."""
-    fig = Figure(figsize=(8.0, 0.42 * len(t.relaxed) + 1.3), layout="constrained")
-    ax = fig.subplots()
-    names = [r.what for r in t.relaxed][::-1]
-    ax.barh(names, [r.band for r in t.relaxed][::-1], color=_AFTER, alpha=0.75)
-    now = least(t.after["within_1dB"])
-    ax.axvline(now, color="black", lw=1.2, label=f"now {now:.1f} Hz")
-    was = least(t.before["within_1dB"])
-    ax.axvline(was, color=_BEFORE, lw=1.2, ls="--", label=f"before {was:.1f} Hz")
-    ax.set_xlabel("within 1 dB up to, worst plant (Hz)")
-    ax.legend(loc="lower right", fontsize=8)
-    ax.grid(alpha=0.3, axis="x")
-    return fig
+from .outcome import Tuned
+from .tuned import bode_figure, ends, limit, limits_figure, sentence, show, table
 
 
 def pictures(t: Tuned) -> dict[str, tuple[Figure, str, str]]:
     """Figures with their alternative text and caption, by the name of their file."""
     out = {
         "tune_bode": (
-            bode_figure(t), "Bode plot before and after",
+            bode_figure(t), f"Bode plot before and after. {sentence(t)}",
             "Output force over desired force. Lines: the rig itself; shades: the "
             "ensemble's stable plants; dashed: where it leaves 1 dB.",
         )
     }  # fmt: skip
     if t.relaxed:
         out["tune_limits"] = (
-            limits_figure(t), "Bandwidth with each limit taken away",
+            limits_figure(t), f"Bandwidth with each limit taken away. {limit(t)}",
             "The loop tuned again without one of its limits at a time.",
         )  # fmt: skip
     return out
@@ -171,12 +55,12 @@ def write(t: Tuned, rig: Path, out: Path) -> None:
     text = json.dumps(t.json(), indent=1, allow_nan=False)
     files["tune.json"] = (text + "\n").encode()
     files["rig.toml"] = with_gains(rig, t.gains, t.units).encode()
-    page = jinja2.Environment(autoescape=True).from_string(
-        (Path(__file__).parent / "report.html").read_text(encoding="utf-8")
-    )
+    page = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined
+    ).from_string((Path(__file__).parent / "report.html").read_text(encoding="utf-8"))
     said = page.render(
         t=t, rows=table(t), pictures=shown, sentence=sentence(t), limit=limit(t),
-        show=show,
+        show=show, ends=ends(t),
     )  # fmt: skip
     files["report.html"] = said.encode()
     write_all(out, files)

@@ -13,6 +13,7 @@ from ..quantities import Quantity, Setting, find, open_setting, quantities
 from ..rigfile import RigSpec
 from . import axes, sweep
 from .axes import Plants
+from .swept import sentences as sentences  # and so `data.hydrojax` is known
 
 
 def open_rig(
@@ -102,27 +103,6 @@ def sweep_rig(
         spec.command_unit,
     )
     return sweep.run(sweep.prepare(plan), out, tell)
-
-
-def sentences(data: xr.Dataset) -> list[str]:
-    """The gist of a sweep in words, one line for each way."""
-    from .maps import axes_of, methods_of, nominal
-
-    said = []
-    flat = nominal(data)
-    for way in methods_of(data):
-        band = flat[f"{way}_within_1dB"]
-        if not bool(band.notnull().any()):
-            said.append(f"{way}: no cell is stable")
-            continue
-        at = band.argmax(dim=axes_of(data))
-        best = flat.isel(at)
-        where = ", ".join(f"{n} = {float(best[n]):.4g}" for n in axes_of(data))
-        said.append(
-            f"{way}: widest within 1 dB {float(band.max()):.1f} Hz at {where}, peak "
-            f"{float(best[f'{way}_peak']):.1f} dB"
-        )
-    return said
 
 
 Progress = Callable[[str], None]

@@ -34,7 +34,10 @@ errors = Console(stderr=True)
 RigFile = Annotated[Path, typer.Argument(help="Rig file (TOML).", show_default=False)]
 Logs = Annotated[
     list[Path],
-    typer.Argument(help="Logs to fit: CSV(.gz), Parquet or MAT.", show_default=False),
+    typer.Argument(
+        help="Logs to fit: CSV(.gz), Parquet, MAT, MCAP or a ROS 2 bag's folder.",
+        show_default=False,
+    ),
 ]
 Horizon = Annotated[float, typer.Option(help="Length of a replay window, s.", min=0.01)]
 Out = Annotated[Path, typer.Option(help="Folder for the report and its figures.")]

@@ -155,6 +155,12 @@ def register(
 _SOURCES: dict[type[Effect], str] = {}
 
 
+def file_of(effect: type[Effect]) -> Path | None:
+    """The Python file that `load_effects` read an effect from, if it did."""
+    source = Path(_SOURCES.get(effect, ""))
+    return source if source.is_file() else None
+
+
 def _of_module(module: ModuleType) -> list[type[Effect]]:
     """The effects that a module defines itself; a leading _ marks a helper."""
     return [
@@ -280,4 +286,4 @@ def _try(
             )
 
 
-__all__ = ["GROUP", "load_effects", "offered", "register"]
+__all__ = ["GROUP", "file_of", "load_effects", "offered", "register"]

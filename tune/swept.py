@@ -1,0 +1,103 @@
+"""What a sweep's dataset says in words and shows in a notebook: `data.hydrojax`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import xarray as xr
+
+from .. import markup
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def _best(data: xr.Dataset) -> list[tuple[str, xr.Dataset | None]]:
+    """By each way the cell that is widest within 1 dB; None where none is stable."""
+    from .maps import axes_of, methods_of, nominal
+
+    flat, out = nominal(data), []
+    for way in methods_of(data):
+        band = flat[f"{way}_within_1dB"]
+        known = bool(band.notnull().any())
+        out.append((way, flat.isel(band.argmax(dim=axes_of(data))) if known else None))
+    return out
+
+
+def sentences(data: xr.Dataset) -> list[str]:
+    """The gist of a sweep in words, one line for each way."""
+    from .maps import axes_of
+
+    said = []
+    for way, best in _best(data):
+        if best is None:
+            said.append(f"{way}: no cell is stable")
+            continue
+        where = ", ".join(f"{n} = {float(best[n]):.4g}" for n in axes_of(data))
+        said.append(
+            f"{way}: widest within 1 dB {float(best[f'{way}_within_1dB']):.1f} Hz at "
+            f"{where}, peak {float(best[f'{way}_peak']):.1f} dB"
+        )
+    return said
+
+
+def _axis(axis: xr.DataArray) -> tuple[str, ...]:
+    """Name, meaning, number of values, range, and where the rig stands."""
+    values, unit = axis.values, axis.attrs["units"]
+    return (
+        str(axis.name),
+        axis.attrs["long_name"],
+        str(values.size),
+        f"{values.min():.4g} to {values.max():.4g} {unit}".removesuffix(" 1"),
+        f"{axis.attrs['rig_value']:.4g}",
+    )
+
+
+@xr.register_dataset_accessor("hydrojax")
+class Swept:
+    """A sweep's own views of its dataset."""
+
+    def __init__(self, data: xr.Dataset):
+        self.data = data
+
+    def plot(self, quantity: str = "within_1dB") -> Figure:
+        """A map of a quantity over the first two axes; lines where there is one.
+
+        Raises:
+            InputError: no sweep, no axis left of it, or no such quantity.
+        """
+        from . import maps
+
+        self._check(quantity)
+        data = maps.spread(self.data)
+        if len(maps.axes_of(data)) > 1:
+            return maps.map_figure(data, quantity)
+        return maps.line_figure(data)
+
+    def _check(self, quantity: str) -> None:
+        from .maps import axes_of
+
+        ways = self.data.attrs.get("methods", "").split()
+        if not any(f"{way}_within_1dB" in self.data for way in ways):
+            raise InputError("no linear_within_1dB or the like: this is no whole sweep")
+        if not axes_of(self.data):
+            raise InputError("no axis is left to draw over: keep one of the sweep's")
+        known = sorted({
+            str(name).removeprefix(f"{way}_")
+            for way in ways
+            for name, table in self.data.data_vars.items()
+            if str(name).startswith(f"{way}_") and f"{way}_hertz" not in table.dims
+        })  # fmt: skip
+        if quantity not in known:
+            raise InputError(f"quantity {quantity!r}: write one of {', '.join(known)}")
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the gist, and the axes."""
+        from .maps import axes_of
+
+        axes = [_axis(self.data[name]) for name in axes_of(self.data)]
+        return markup.block(
+            markup.paragraph("; ".join(sentences(self.data)), self.data.attrs["title"]),
+            markup.table(("axis", "", "values", "range", "the rig's"), axes),
+        )
