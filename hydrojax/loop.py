@@ -19,7 +19,7 @@ from jaxtyping import Array
 from .control import Law, Measured, Memory
 from .friction import Sliding
 from .load import Load, Motion, Road
-from .rig import Rig, State, Tick, sides
+from .rig import Rig, State, Tick
 
 
 class Sensors(eqx.Module):
@@ -185,7 +185,7 @@ def step(loop: Loop, carry: _Carry, tick: Course) -> tuple[_Carry, dict[str, Arr
             a=road.a,
             t=tick.t + (i + 1) * h,
         )
-        plant = rig.act(plant, sides(spool), part)
+        plant = rig.act(plant, (spool,), part)
 
         feels = partial(force, plant, part)
         motion, F = loop.load.feel(motion, x, road, h, feels)

@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from . import rod
 from .friction import Friction, Sliding
-from .hydraulics import Chambers, Lands, Point
+from .hydraulics import Chambers, Lands, Point, sides
 from .params import Effect
 from .tick import State, Tick
 
@@ -43,11 +43,6 @@ HYDRAULIC = (
 PARTS = 4
 """Parts of a tick over which the command's path is run: within one, the spool's mean
 opening stands for its course."""
-
-
-def sides(spool: Array) -> tuple[Array, Array]:
-    """The spool's opening toward either side, both >= 0."""
-    return jnp.where(spool > 0, spool, 0.0), -jnp.where(spool > 0, 0.0, spool)
 
 
 class Rig(eqx.Module):
@@ -97,18 +92,19 @@ class Rig(eqx.Module):
 
     def command_step(
         self, memory: tuple, u: Array, h: Array
-    ) -> tuple[tuple, tuple[Array, Array]]:
+    ) -> tuple[tuple, tuple[Array, ...]]:
         """The same over a whole tick.
 
-        Returns the memories and the mean openings toward either side, both >= 0.
+        Returns the memories and the opening over the tick, as `Point` has it.
         """
-        parts = PARTS if self.command else 1
-        memory, openings = self.command_parts(memory, u, h, parts)
+        if not self.command:
+            return (), (u,)
+        memory, openings = self.command_parts(memory, u, h)
         open_p, open_n = sides(openings[0])
         for spool in openings[1:]:
             p, n = sides(spool)
             open_p, open_n = open_p + p, open_n + n
-        return memory, (open_p / parts, open_n / parts)
+        return memory, (open_p / PARTS, open_n / PARTS)
 
     def pressure_rates(self, at: Point) -> tuple[Array, Array]:
         """Rates of both chamber pressures, Pa/s; (12)-(15)."""
@@ -119,7 +115,7 @@ class Rig(eqx.Module):
         return self.chambers.rates(at, q_1, q_2, self.compliance, self.volume)
 
     def pressure_step(
-        self, P: tuple[Array, Array], opening: tuple[Array, Array], tick: Tick
+        self, P: tuple[Array, Array], opening: tuple[Array, ...], tick: Tick
     ) -> tuple[Array, Array]:
         """Both pressures over one tick, by the midpoint rule in n substeps.
 
@@ -135,7 +131,7 @@ class Rig(eqx.Module):
                 p[..., 0] + part * (p[..., 1] - p[..., 0]) for p in (tick.P_s, tick.P_r)
             )
             return self.pressure_rates(
-                Point(P[0], P[1], p_s, p_r, *opening, x=x[..., k], v=v)
+                Point(P[0], P[1], p_s, p_r, opening, x=x[..., k], v=v)
             )
 
         for i in range(n):
@@ -187,7 +183,7 @@ class Rig(eqx.Module):
         F = self.output_force(self.sliding(state, tick))
         return self.read(state, F, tick.h)
 
-    def act(self, state: State, opening: tuple[Array, Array], tick: Tick) -> State:
+    def act(self, state: State, opening: tuple[Array, ...], tick: Tick) -> State:
         """Pressures, bristle and filtered speed after a tick under `opening`."""
         if self.stretch and tick.F is None:
             F = rod.force(self, state, opening, tick)

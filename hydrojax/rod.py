@@ -75,7 +75,7 @@ def velocity(rig: Rig, tick: Tick) -> Array:
     return tick.v + ahead_rate(rig.stretch, tick.F[..., 1], tick.F_rate)
 
 
-def force(rig: Rig, state: State, opening: tuple[Array, Array], tick: Tick) -> Array:
+def force(rig: Rig, state: State, opening: tuple[Array, ...], tick: Tick) -> Array:
     """The output force at the end of a tick that starts in `state`, N.
 
     What stretches gives way as the force rises; pressures fall and the bristle bends
@@ -88,7 +88,7 @@ def force(rig: Rig, state: State, opening: tuple[Array, Array], tick: Tick) -> A
 
     def rates(v):
         ends = (tick.P_s[..., 1], tick.P_r[..., 1])
-        return rig.pressure_rates(Point(*P, *ends, *opening, x=tick.x[..., -1], v=v))
+        return rig.pressure_rates(Point(*P, *ends, opening, tick.x[..., -1], v))
 
     still, moving = rates(jnp.zeros_like(F_0)), rates(jnp.ones_like(F_0))
     per_metre = tuple(b - a for a, b in zip(still, moving, strict=True))

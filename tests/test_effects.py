@@ -181,7 +181,12 @@ def test_new_value_compiles_nothing(rig, replays, name):
 
 # -- what each effect is, in plain NumPy --
 
-AT = Point(*map(np.float64, (5e6, 6.5e6, 14e6, 0.25e6, 0.4, 0.1, 0.02, 0.01)))
+AT = Point(
+    *np.array([5e6, 6.5e6, 14e6, 0.25e6]),
+    (0.4, 0.1),
+    np.float64(0.02),
+    np.float64(0.01),
+)
 SLIDING = Sliding(
     t=np.float64(7.0),
     x=np.float64(0.02),
@@ -411,9 +416,7 @@ def test_what_stretches_gives_way_as_the_force_rises(rig):
             return float(soft.output_force(at))
 
         def rates(t, P, effect=effect):
-            at = AT._replace(
-                P_a1=P[0], P_a2=P[1], open_p=0.0, open_n=1.0, x=2e-3, v=0.0
-            )
+            at = AT._replace(P_a1=P[0], P_a2=P[1], opening=(0.0, 1.0), x=2e-3, v=0.0)
             still = np.array(rig.pressure_rates(at))
             moving = np.array(rig.pressure_rates(at._replace(v=1.0)))
             here, d = force(*P), 20.0

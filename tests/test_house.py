@@ -20,7 +20,7 @@ ROOMS = {
 }
 """Folders and the packages they are."""
 
-ROOF = ("hydrojax.cli", "hydrojax.demo", "hydrojax.roof")
+ROOF = ("hydrojax.cli", "hydrojax.demo", "hydrojax.fleet", "hydrojax.roof")
 """What may see the whole house."""
 
 

@@ -1,11 +1,12 @@
 """Flows and pressure rates against the paper's formulas, in plain NumPy."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from hydrojax.effects import EFFECTS
-from hydrojax.hydraulics import Chambers, Point, root_flow
+from hydrojax.hydraulics import Chambers, Point, per_fourth_root, root_flow
 from hydrojax.named import get, put
 from hydrojax.rig import bare_rig
 
@@ -14,18 +15,17 @@ FAR = 1e-6
 """What the laminar core may cost at drops of megapascals, relative."""
 
 
-def point(u: float = 0.0, **other: float) -> Point:
+def point(u: float = 0.0, opening: tuple[float, ...] = (), **other: float) -> Point:
     at = {
         "P_a1": 5e6,
         "P_a2": 6.5e6,
         "P_s": 14e6,
         "P_r": 0.25e6,
-        "open_p": max(u, 0.0),
-        "open_n": max(-u, 0.0),
         "x": 4e-3,
         "v": 0.02,
     }
-    return Point(**{name: np.float64(value) for name, value in (at | other).items()})
+    at = {name: np.float64(value) for name, value in (at | other).items()}
+    return Point(**at, opening=tuple(np.float64(o) for o in opening or (u,)))
 
 
 def paper_flows(c: dict[str, float], at: Point, u: float) -> tuple[float, float]:
@@ -117,9 +117,31 @@ def test_flow_turns_round_outside_supply_and_return(rig):
 
 
 def test_a_spool_that_crosses_zero_opens_both_sides(rig):
-    both = rig.lands.flows(point(open_p=0.3, open_n=0.2))
+    both = rig.lands.flows(point(opening=(0.3, 0.2)))
     each = [rig.lands.flows(point(u)) for u in (0.3, -0.2)]
     assert np.allclose(both, np.sum(each, axis=0), rtol=1e-14)
+
+
+@pytest.mark.parametrize("u", [-0.4, 0.0, 0.4])
+def test_a_spool_on_one_side_flows_as_with_both_edges_written_out(rig, u):
+    slow = rig.lands.flows(point(opening=(max(u, 0.0), max(-u, 0.0))))
+    assert np.allclose(rig.lands.flows(point(u)), slow, rtol=1e-14, atol=0)
+
+
+def test_fourth_root_is_right_to_the_last_places_over_all_that_can_come():
+    a = np.exp(np.random.default_rng(0).uniform(np.log(1e-20), np.log(1e25), 20_000))
+    for dtype, ulps in ((np.float64, 4), (np.float32, 4)):
+        b = a.astype(dtype)
+        got = np.asarray(per_fourth_root(jnp.asarray(b)), np.longdouble)
+        off = got * np.sqrt(np.sqrt(b.astype(np.longdouble))) - 1
+        assert np.max(np.abs(off)) < ulps * np.finfo(dtype).eps
+
+
+def test_fourth_root_has_its_derivative_both_ways():
+    a = jnp.asarray(3.7e12)
+    slope = -0.25 * 3.7e12**-1.25
+    assert jax.grad(per_fourth_root)(a) == pytest.approx(slope, rel=1e-14)
+    assert jax.jvp(per_fourth_root, (a,), (a,))[1] == pytest.approx(3.7e12 * slope)
 
 
 # -- the chambers --

@@ -596,7 +596,7 @@ def test_41_the_epsilons_are_the_plants(falls):
     rig, n = falls[1000][0].rig, 200
     P_1, P_2 = rng.uniform(2e6, 12e6, (2, n))
     x, v, u = (rng.uniform(-s, s, n) for s in (0.05, 0.03, 8.0))
-    at = Point(P_1, P_2, 14e6 + 0 * x, 0 * x, np.maximum(u, 0), np.maximum(-u, 0), x, v)
+    at = Point(P_1, P_2, 14e6 + 0 * x, 0 * x, (u,), x, v)
     r_1, r_2 = map(np.asarray, rig.pressure_rates(at))
     left = 1.18e-3 * (r_2 * (0.1 + 18e-3 + x) + r_1 * (0.1 + 12e-3 - x))
     c = PLANT

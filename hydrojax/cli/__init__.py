@@ -9,7 +9,7 @@ import typer
 
 from .. import __version__
 from ..errors import InputError
-from . import identify, loop, tune
+from . import export, identify, loop, tune
 from .desk import app, console, errors
 
 
@@ -29,7 +29,9 @@ def options(
     """What holds for every command."""
 
 
-SEVERAL = ("--validate", "--gains", "--separate", "--over", "--by", "--at", "--free")
+SEVERAL = (
+    "--validate", "--gains", "--separate", "--over", "--by", "--at", "--free", "--to",
+)  # fmt: skip
 """Options that take all words that follow."""
 
 
@@ -65,4 +67,4 @@ def main() -> None:
         _refuse(error)
 
 
-__all__ = ["app", "identify", "loop", "main", "spread", "tune"]
+__all__ = ["app", "export", "identify", "loop", "main", "spread", "tune"]

@@ -49,7 +49,7 @@ NEEDS = ("u", "F", "loadcell", "P_a1", "P_a2", "psi")
 """What an effect may need of a log."""
 
 # Numbers, since an array here would start JAX on import; `_try` makes arrays of them.
-_AT = Point._make((5e6, 6.5e6, 14e6, 0.25e6, 0.4, 0.1, 0.02, 0.01))
+_AT = Point._make((5e6, 6.5e6, 14e6, 0.25e6, (0.4, 0.1), 0.02, 0.01))
 _SLIDING = Sliding._make(
     (7.0, 0.02, 0.004, 0.6, 5e-5, -2e-3, 3e-3, 5e6, 6.5e6, 14e6, 0.0)
 )

@@ -12,8 +12,8 @@ import tomlkit
 from scipy.io import savemat
 
 from ..controller import KEYS, file_keys, key_unit, si
-from ..rigfile import Entry, RigSpec
-from .tree import GEOMETRY, LOAD, Tree, check_names, rig_tree, signal_units
+from ..rigfile import GEOMETRY, LOAD, Entry, RigSpec
+from .tree import Tree, check_names, rig_tree, signal_units
 
 
 def toml_of(spec: RigSpec) -> str:
@@ -81,7 +81,7 @@ def _struct(tree: Tree) -> Tree:
 
 
 def _quantity(value: float, unit: str) -> str:
-    """A quantity as a rig file has it; Python prints all the digits that a float has."""
+    """A quantity as a rig file has it, with all the digits that the float has."""
     return f"{value!r}" if unit == "1" else f"{value!r} {unit}"
 
 

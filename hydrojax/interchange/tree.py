@@ -29,16 +29,13 @@ from ..errors import InputError
 from ..named import get, hydraulic_names
 from ..params import Spec, specs
 from ..rig import Rig
-from ..rigfile import Entry, RigSpec
+from ..rigfile import GEOMETRY, LOAD, Entry, RigSpec
 from ..signals import SIGNALS
 
 FORMAT = "hydrojax-rig/1"
 
-GEOMETRY = {
-    "area": "m^2", "area_1": "m^2", "area_2": "m^2",
-    "chamber_length": "m", "radius": "m", "x_mid": "m",
-}  # fmt: skip
-LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
+TAKEN = ("Real", "Integer", "Boolean", "String")
+"""Names that open with a capital and mean something in Modelica."""
 
 Tree = dict[str, Any]
 
@@ -90,11 +87,12 @@ def signal_units(spec: RigSpec) -> dict[str, str]:
     return {n: units.with_command(u, spec.command_unit) for n, u in SIGNALS.items()}
 
 
-def identifier(name: str, fallback: str = "Rig") -> str:
+def identifier(name: str) -> str:
     """A name that C, Modelica and MATLAB take, as near to `name` as they allow."""
-    words = re.findall(r"[A-Za-z0-9]+", name)
-    joined = "_".join(words) or fallback
-    return (joined if joined[0].isalpha() else f"{fallback}_{joined}")[:60]
+    joined = "_".join(re.findall(r"[A-Za-z0-9]+", name))
+    if not joined[:1].isalpha() or joined in TAKEN:
+        joined = f"Rig_{joined}".rstrip("_")
+    return (joined[0].upper() + joined[1:])[:60]
 
 
 def check_names(spec: RigSpec, what: str) -> None:
@@ -111,6 +109,14 @@ def check_names(spec: RigSpec, what: str) -> None:
                     f"{spec.path}: [effects.{effect}]: {what} cannot have the name "
                     f"{name!r}; rename it with letters, figures and _, a letter first"
                 )
+
+
+def meaning(s: Spec) -> str:
+    """What a parameter is, as it is stored."""
+    if s.outside is None:
+        return s.says
+    name, unit = s.outside
+    return f"1/{name}; {name}: {s.says}, {unit}"
 
 
 def defaults_taken(keys: Tree) -> Iterable[str]:
@@ -148,7 +154,7 @@ def _fields(
             "value": entry.start if entry else value,
             "unit": units.with_command(s.unit, spec.command_unit),
             "given": entry is not None,
-            "says": s.says,
+            "says": units.with_command(meaning(s), spec.command_unit),
         }
         if entry and entry.range:
             out[name]["range"] = list(entry.range)
@@ -180,8 +186,8 @@ def _defaults(spec: RigSpec) -> dict[str, tuple[float, float]]:
         name: units.to_si(value, KEYS[name].unit, si(KEYS[name].unit), name)
         for name, value in PAPER.items()
     } | {"kappa": kappa, "u_max": float(loop.law.u_max), "resolution": step}
-    pairs = {
-        name: tuple(end / (kappa if KEYS[name].volts else 1.0) for end in both)
-        for name, both in default_bounds(nominal).items()
-    }
-    return {name: (value, value) for name, value in alone.items()} | pairs
+    ends = {name: (value, value) for name, value in alone.items()}
+    for name, (lower, upper) in default_bounds(nominal).items():
+        scale = kappa if KEYS[name].volts else 1.0
+        ends[name] = (lower / scale, upper / scale)
+    return ends

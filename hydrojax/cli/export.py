@@ -1,0 +1,59 @@
+"""The command that writes a rig for other tools: `export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..backend import set_up_jax, user_cache
+from ..errors import InputError
+from ..files import write_all
+from .desk import (
+    Effects,
+    RigFile,
+    app,
+    check_out,
+    console,
+    load_effects,
+    progress,
+)
+
+
+@app.command()
+def export(
+    rig: RigFile,
+    to: Annotated[
+        list[str],
+        typer.Option(
+            help="toml, json, mat, modelica, fmu (the plant), c (the law): all words "
+            "that follow.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path(
+        "hydrojax-export"
+    ),
+    effects: Effects = None,
+) -> None:
+    """Write a rig for MATLAB, Modelica, an FMI master or your own firmware."""
+    check_out(out)
+    set_up_jax(user_cache())
+    load_effects(effects)
+    from .. import interchange
+    from ..build import load_rig
+
+    with progress() as tell:
+        tell("write the rig")
+        spec = load_rig(rig)
+        made = interchange.export(spec, to)
+        for name in made.files:
+            if (out / name).exists() and (out / name).samefile(rig):
+                raise InputError(
+                    f"{rig}: would be overwritten; name another folder with --out"
+                )
+        write_all(out, made.files)
+    for note in made.notes:
+        console.print(f"note: {note}", markup=False, soft_wrap=True)
+    console.print(f"{', '.join(made.files)} in {out}", markup=False, soft_wrap=True)
