@@ -4,43 +4,81 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from pathlib import Path
 
-FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
-"""Keeps XLA's CPU compiler from computing a scan's body once per output: the Jacobian
-of a replay took six times as long without it. It is not documented by XLA, and
-ignored by versions that do not know it."""
+_OPTIONS = "--xla_backend_extra_options="
+
+FITS = f"{_OPTIONS}xla_cpu_use_multi_output_fusion=true"
+"""What replays, their Jacobians and all that fits run with: keeps XLA's CPU compiler
+from computing a scan's body once per output. Not documented by XLA, and ignored by
+versions that do not know it."""
+
+LOOPS = f"{_OPTIONS}xla_cpu_small_while_loop_byte_threshold=1000000000"
+"""What closed loops run with: a whole scan becomes one function, in place of a launch
+per kernel and step. With fits' option beside it several outputs of a scan are copied
+whole at every step; alone, it makes the Jacobian of a fit slow to compile."""
+
+WIDE = "--xla_cpu_prefer_vector_width=512"
+"""Beside `LOOPS`, on processors that have such vectors."""
 
 
-def set_up_jax(cache: Path | None = None) -> bool:
-    """Double precision, the CPU setting that replays want, and a cache of programs.
+def set_up_jax(cache: Path | None = None, work: str = FITS) -> bool:
+    """Double precision, the CPU settings for a kind of work, and a cache of programs.
 
-    Call it before anything else uses JAX. The command line does.
+    Call it before anything else uses JAX. The command line does. Options of the same
+    kind that stand in `XLA_FLAGS` already are left alone.
 
     Args:
         cache: folder for compiled programs; None keeps none.
+        work: `FITS` (identify, trace) or `LOOPS` (simulate, sweep, tune). Either is
+            right for both, and slower for the other.
 
     Returns:
-        False if JAX was running already: then the CPU setting came too late, and all
-        else holds.
+        False if JAX was running already without these settings: a `RuntimeWarning`
+        says that they came too late, and all else holds.
     """
-    early = "jax" not in sys.modules or not _running()
     flags = os.environ.get("XLA_FLAGS", "")
-    if early and "xla_backend_extra_options" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {FUSION}".strip()
+    wanted = _OPTIONS not in flags
+    late = wanted and "jax" in sys.modules and _running()
+    if late:
+        warnings.warn(
+            "JAX is running already, so the settings for its CPU loops came too late: "
+            "call set_up_jax before anything else uses JAX",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    elif wanted:
+        mine = f"{work} {WIDE}" if work == LOOPS and _has_wide_vectors() else work
+        os.environ["XLA_FLAGS"] = f"{flags} {mine}".strip()
     import jax
 
     jax.config.update("jax_enable_x64", True)
     if cache is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
-    return early
+    return not late
 
 
 def _running() -> bool:
     from jax._src import xla_bridge
 
     return xla_bridge.backends_are_initialized()
+
+
+def _has_wide_vectors() -> bool:
+    try:
+        return " avx512f " in Path("/proc/cpuinfo").read_text()
+    except OSError:
+        return False
+
+
+def bucket(count: int, least: int = 8) -> int:
+    """The size that an axis of `count` is filled up to: four to an octave, so that few
+    programs serve logs of every length.
+    """
+    step = max(least, 1 << max(count.bit_length() - 3, 0))
+    return -(-count // step) * step
 
 
 def user_cache() -> Path:

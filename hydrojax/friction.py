@@ -89,7 +89,8 @@ class Friction(eqx.Module):
         forces a velocity whose lag has the bristle's sign: it turns with the friction.
         """
         up = at.z > 0
-        turn = jnp.clip(at.z / self.z_ss, -1.0, 1.0)
+        # Never beyond 1 in size, by (4). A clip would only cut the derivative there.
+        turn = at.z / self.z_ss
         film = at._replace(v=at.v + jnp.where(at.v < 0, -1.0, 1.0) * at.lag)
         level = jnp.where(up, self.k_cp, self.k_cn)
         level = level + sum(e.level(film, level) for e in levels)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from . import analysis
-from .paper import Experiments, Track, within
+from .paper import Experiments, Response, Track, within
 
 SHOWN = 6.0
 """Seconds of each run that a picture shows: two times to and fro."""
@@ -64,9 +64,8 @@ def tracking_figure(figure: str, cases: dict[str, Track]) -> Figure:
     return fig
 
 
-def response_figure(found: Experiments) -> Figure:
+def response_figure(r: Response) -> Figure:
     """|F/F_d| in dB over frequency: line by white noise, stars by sines (Fig. 5)."""
-    r = found.response
     fig = Figure(figsize=(8.0, 6.0), layout="constrained")
     top, bottom = fig.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     top.axhspan(-1, 1, color="0.92", zorder=0)
@@ -142,7 +141,7 @@ def figures(found: Experiments) -> dict[str, Figure]:
     }
     return {
         **tracks,
-        "figure_5": response_figure(found),
+        "figure_5": response_figure(found.response),
         "lyapunov": descent_figure(found),
         "ablation": ablation_figure(found),
     }

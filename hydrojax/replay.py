@@ -163,19 +163,30 @@ def _sense(channels: tuple, y: Array, h: Array) -> Array:
     return y
 
 
-def readings(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, past: Past) -> Array:
-    """What the sensors read, [W, T, 3] (P_a1, P_a2 in Pa, F in N).
+def forces(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, past: Past) -> Array:
+    """The output force at every tick, before the load cell, [W, lead+T], N.
 
-    `P_a1`, `P_a2` [W, lead+T] from `pressures` or the log; `past` at the windows.
+    Each tick's is its own affair: `P_a1`, `P_a2` [W, lead+T] from `pressures` or the
+    log, `past` at the windows.
     """
     z, speed, v = past
     rate = rig.mechanics.z_rate(z, v)
     speed, lag = rig.films(speed)
     at = Sliding(w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s, lag)
+    return rig.output_force(at)
+
+
+def sensed(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, F: Array) -> Array:
+    """What the sensors read of signals [W, lead+T], [W, T, 3]; linear in them."""
     lead = w.x.shape[1] - w.scored
     y = [
         _sense(rig.gauge(0), P_a1, w.h),
         _sense(rig.gauge(1), P_a2, w.h),
-        _sense(rig.sensor_F, rig.output_force(at), w.h),
+        _sense(rig.sensor_F, F, w.h),
     ]
     return jnp.stack([c[:, lead:] for c in y], axis=-1)
+
+
+def readings(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, past: Past) -> Array:
+    """What the sensors read, [W, T, 3] (P_a1, P_a2 in Pa, F in N); see `forces`."""
+    return sensed(rig, w, P_a1, P_a2, forces(rig, w, P_a1, P_a2, past))

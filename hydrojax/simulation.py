@@ -7,10 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from .backend import bucket
 from .load import Road
 from .loop import SIGNALS, Course, Loop, run
 
@@ -76,7 +78,10 @@ def simulate(loop: Loop, course: Course) -> Run:
 
     Warns (`RuntimeWarning`) if a pressure leaves (P_r, P_s) or the run diverges.
     """
-    table = np.asarray(_run(loop, course))
+    n = len(course.t)
+    longer = np.minimum(np.arange(bucket(n)), n - 1)
+    held = jax.tree.map(lambda a: np.asarray(a)[longer], course)
+    table = np.asarray(_run(loop, held))[:n]
     signals: dict[str, np.ndarray] = dict(zip(SIGNALS, table.T, strict=True))
     supply, back = np.asarray(course.P_s[:, 0]), np.asarray(course.P_r[:, 0])
     open_1 = not float(loop.rig.force_area_1)  # an open chamber holds no pressure

@@ -31,7 +31,8 @@ from ..replay import Motion, Windows
 from ..rigfile import RigSpec
 from ..simulation import PARTS
 from ..units import with_command
-from .misfit import Batch, Model, basis, slot_names, sums
+from .columns import Batch, Model, basis, slot_names
+from .misfit import sums
 from .prepare import LEAD, PRE, QUARTERS
 from .problem import Free, free_parameters
 

@@ -16,67 +16,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from ..named import get, hydraulic_names, parameter_specs, put, scales
-from ..params import specs
-from ..replay import Motion, Past, Windows, friction_memory, pressures, readings
-from ..rig import Rig
+from .columns import (
+    NUISANCE,
+    SUPPLY_BLOCKS,
+    Basis,
+    Batch,
+    Model,
+    driven,
+    recall,
+    sensitivities,
+)
 
 START_SPREAD = 3e5
 """Prior on a window's initial pressure about its first guess, Pa: wide, it only keeps
 a chamber that no channel sees in place."""
 
-
 PIECE = 256
-"""Windows that are worked on side by side."""
+"""Windows whose pressures are run side by side."""
 
-SUPPLY_BLOCKS = 3
-"""Pieces of a window in each of which the supply's measurement error is a constant."""
-
-NUISANCE = 2 + SUPPLY_BLOCKS
-"""What each window has of its own: two initial pressures, and the supply's errors."""
-
-
-class Model(NamedTuple):
-    """A rig and the order of its parameters: hydraulic ones first.
-
-    `scale` and `value0` are what a coordinate of the optimiser means: value =
-    scale * coordinate.
-    """
-
-    rig: Rig
-    names: tuple[str, ...]
-    hydraulic: int
-    scale: np.ndarray
-
-    @classmethod
-    def of(cls, rig: Rig) -> Model:
-        """The model of a rig, with every parameter it has."""
-        spec = parameter_specs(rig)
-        first = hydraulic_names(rig)
-        names = tuple(sorted(spec, key=lambda n: n not in first))
-        return cls(rig, names, len(first), scales(spec[n] for n in names))
-
-    @property
-    def values(self) -> Array:
-        """The rig's own values, [n], SI."""
-        return get(self.rig, self.names)
-
-
-class Batch(NamedTuple):
-    """What a fit runs on, as arrays; `noise` [3], `weight` [W] (0 for padding).
-
-    `supply_noise` is the standard deviation of the measured P_s, Pa (0 where the log
-    has none): white noise there integrates to a drift of the pressures, which would
-    otherwise be taken for a fault of the model.
-    """
-
-    motion: Motion
-    windows: Windows
-    P_0: Array
-    noise: Array
-    supply_noise: Array
-    weight: Array
-
+HANDFUL = 32
+"""Windows whose columns are summed side by side: they stay in the processor's cache."""
 
 _OWN_PRIOR = np.diag([1 / START_SPREAD**2] * 2 + [1.0] * SUPPLY_BLOCKS)
 
@@ -92,199 +51,58 @@ class Sums(NamedTuple):
     sse: Array
 
 
-class Basis(NamedTuple):
-    """Directions in parameter space: [n_hydraulic, k_1] and [n_other, k_2], SI."""
-
-    hydraulic: Array
-    other: Array
-
-
-def basis(model: Model, names: tuple[str, ...], slots: tuple[int, int]) -> Basis:
-    """One direction per named parameter, one unit of its scale; spare slots are 0.
-
-    Raises:
-        ValueError: more names than slots.
+def _in_pieces(part: Callable, size: int, *windows: PyTree) -> PyTree:
+    """`part` of arrays with the windows first, in pieces of `size` one after the other
+    if they are many: memory then does not grow with the length of the logs.
     """
-    out = [
-        np.zeros((model.hydraulic, slots[0])),
-        np.zeros((len(model.names) - model.hydraulic, slots[1])),
-    ]
-    used = [0, 0]
-    for name in names:
-        i = model.names.index(name)
-        side = int(i >= model.hydraulic)
-        if used[side] == slots[side]:
-            raise ValueError(f"no slot left for {name}")
-        out[side][i - side * model.hydraulic, used[side]] = model.scale[i]
-        used[side] += 1
-    return Basis(*(jnp.asarray(a) for a in out))
-
-
-def slot_names(
-    model: Model, names: tuple[str, ...], slots: tuple[int, int]
-) -> list[str | None]:
-    """Which parameter stands in each column of `basis`, None for a spare one."""
-    first = [n for n in names if model.names.index(n) < model.hydraulic]
-    rest = [n for n in names if n not in first]
-    spare = [[None] * (slots[0] - len(first)), [None] * (slots[1] - len(rest))]
-    return [*first, *spare[0], *rest, *spare[1]]
-
-
-def predict(rig: Rig, batch: Batch, simulate: bool) -> Array:
-    """What the sensors would read, [W, T, 3], from the batch's initial pressures."""
-    w = batch.windows
-    P = pressures(rig, w, batch.P_0) if simulate else (w.P_a1, w.P_a2)
-    return readings(rig, w, *P, friction_memory(rig, batch.motion).within(w))
-
-
-def memory_names(rig: Rig) -> tuple[str, ...]:
-    """The parameters on which bristle, filtered speed and films depend."""
-    moved = (
-        f"{effect.name}.{field}"
-        for effect in (*rig.stretch, *rig.velocity)
-        for field in specs(effect)
-    )
-    return ("z_ss", "L_rate", *moved)
-
-
-class Recalled(NamedTuple):
-    """What friction sees of the motion over the whole log, and its derivatives by each
-    parameter of `memory_names`, on a first axis.
-    """
-
-    past: Past
-    by: Past
-
-
-def recall(model: Model, values: Array, motion: Motion) -> Recalled:
-    """What friction remembers of the motion: once for all windows."""
-    here = put(model.rig, model.names, values)
-    names = memory_names(here)
-
-    def memory(of):
-        return friction_memory(put(here, names, of), motion)
-
-    at = get(here, names)
-    along = jax.vmap(lambda row: jax.jvp(memory, (at,), (row,)), out_axes=(None, 0))
-    return Recalled(*along(jnp.eye(len(names))))
-
-
-def _in_pieces(part: Callable[[Batch], PyTree], batch: Batch) -> PyTree:
-    """`part` of a batch, in pieces of `PIECE` windows one after the other if it is
-    long: memory then does not grow with the length of the logs.
-    """
-    count = batch.P_0.shape[0]
-    if count <= PIECE:
-        return part(batch)
-    pieces = -(-count // PIECE)
+    count = jax.tree.leaves(windows)[0].shape[0]
+    if count <= size:
+        return part(*windows)
+    pieces = -(-count // size)
 
     def cut(a):
         # The last piece is filled with copies of the last window.
-        index = np.minimum(np.arange(pieces * PIECE), count - 1)
-        return a[index].reshape(pieces, PIECE, *a.shape[1:])
+        index = np.minimum(np.arange(pieces * size), count - 1)
+        return a[index].reshape(pieces, size, *a.shape[1:])
 
-    own = jax.tree.map(cut, (batch.windows, batch.P_0, batch.weight))
-
-    def one(piece):
-        windows, P_0, weight = piece
-        return part(batch._replace(windows=windows, P_0=P_0, weight=weight))
-
-    out = jax.lax.map(one, own)
+    out = jax.lax.map(lambda piece: part(*piece), jax.tree.map(cut, windows))
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], out)
 
 
-def sensitivities(
+def _of_windows(
     model: Model,
     values: Array,
     directions: Basis,
     batch: Batch,
     simulate: bool,
-    recalled: Recalled | None = None,
-) -> tuple[Array, Array]:
-    """Predictions [W, T, 3] and their derivatives [k + NUISANCE, W, T, 3].
+    reduce: Callable[[Batch, Array, Array], PyTree],
+) -> PyTree:
+    """`reduce` of a batch, its predictions and their derivatives, window by window."""
+    recalled = recall(model, values, batch.motion)
 
-    The columns are those of `directions`, then the two initial pressures (per Pa) and
-    the supply's error in each block (per standard deviation of its mean).
-    Forward mode, in the three stages of the replay, so that friction's columns never
-    pay for the integration of the pressures.
-    """
-    rig, names, n = model.rig, model.names, model.hydraulic
-    w = batch.windows
-    k_1, k_2 = directions.hydraulic.shape[1], directions.other.shape[1]
+    def side_by_side(windows, P_0, weight):
+        own = batch._replace(windows=windows, P_0=P_0, weight=weight)
+        pressure = driven(model, values, directions, own, simulate)
+        # Windows first, as all that is cut into handfuls has them.
+        by = jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), pressure.by)
 
-    ticks = w.P_s.shape[1]
-    block = jnp.arange(ticks) * SUPPLY_BLOCKS // ticks
-    of_mean = batch.supply_noise / np.sqrt(ticks / SUPPLY_BLOCKS)
+        def handful(windows, P_0, weight, P, by):
+            few = batch._replace(windows=windows, P_0=P_0, weight=weight)
+            by = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), by)
+            own = pressure._replace(P=P, by=by)
+            y, dy = sensitivities(model, values, directions, windows, own, recalled)
+            return reduce(few, y, dy)
 
-    def run(d, P_shift, supply):
-        at = put(rig, names[:n], values[:n] + directions.hydraulic @ d)
-        moved = w._replace(P_s=w.P_s + of_mean * supply[block])
-        return pressures(at, moved, batch.P_0 + P_shift)
+        return _in_pieces(handful, HANDFUL, windows, P_0, weight, pressure.P, by)
 
-    here = put(rig, names, values)
-    recalled = recalled or recall(model, values, batch.motion)
-    past = recalled.past.within(w)
-    if simulate:
-        zero = (jnp.zeros(k_1), jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS))
-        P, d_P = jax.vmap(
-            lambda e: jax.jvp(run, zero, (e[:k_1], e[k_1 : k_1 + 2], e[k_1 + 2 :])),
-            out_axes=(None, 0),
-        )(jnp.eye(k_1 + NUISANCE))
-        zeros = jnp.zeros((k_2, *P[0].shape))
-        d_P = [jnp.concatenate([d[:k_1], zeros, d[k_1:]]) for d in d_P]
-    else:
-        P = (w.P_a1, w.P_a2)
-        d_P = [jnp.zeros((k_1 + k_2 + NUISANCE, *P[0].shape))] * 2
-
-    def force(d, P_a1, P_a2):
-        at = put(here, names[n:], values[n:] + directions.other @ d)
-        return readings(at, w, P_a1, P_a2, past)
-
-    columns = jnp.concatenate(
-        [jnp.zeros((k_1, k_2)), jnp.eye(k_2), jnp.zeros((NUISANCE, k_2))]
-    )
-
-    def column(e, dp_1, dp_2):
-        return jax.jvp(force, (jnp.zeros(k_2), *P), (e, dp_1, dp_2))
-
-    y, dy = jax.vmap(column, out_axes=(None, 0))(columns, *d_P)
-    return y, dy + _through_memory(model, here, directions, w, P, recalled)
-
-
-def _through_memory(
-    model: Model,
-    here: Rig,
-    directions: Basis,
-    w: Windows,
-    P: tuple[Array, Array],
-    recalled: Recalled,
-) -> Array:
-    """What the columns are through what friction remembers, [k + NUISANCE, W, T, 3]."""
-    past = recalled.past.within(w)
-
-    def one(by):
-        along = (by.within(w),)
-        return jax.jvp(lambda p: readings(here, w, *P, p), (past,), along)[1]
-
-    k_1, k_2 = directions.hydraulic.shape[1], directions.other.shape[1]
-    every = jnp.zeros((len(model.names), k_1 + k_2 + NUISANCE))
-    every = every.at[: model.hydraulic, :k_1].set(directions.hydraulic)
-    every = every.at[model.hydraulic :, k_1 : k_1 + k_2].set(directions.other)
-    rows = np.array([model.names.index(m) for m in memory_names(here)])
-    return jnp.tensordot(every[rows].T, jax.vmap(one)(recalled.by), axes=1)
+    return _in_pieces(side_by_side, PIECE, batch.windows, batch.P_0, batch.weight)
 
 
 def sums(
     model: Model, values: Array, directions: Basis, batch: Batch, simulate: bool
 ) -> Sums:
     """The windows' Gram matrices at `values` along `directions`; see `Sums`."""
-    recalled = recall(model, values, batch.motion)
-
-    def part(piece):
-        y, dy = sensitivities(model, values, directions, piece, simulate, recalled)
-        return _sums(piece, y, dy)
-
-    return _in_pieces(part, batch)
+    return _of_windows(model, values, directions, batch, simulate, _sums)
 
 
 def _sums(batch: Batch, y: Array, dy: Array) -> Sums:
@@ -335,13 +153,7 @@ def leftover(
     """
     n = len(model.names)
     none = Basis(jnp.zeros((model.hydraulic, 0)), jnp.zeros((n - model.hydraulic, 0)))
-    recalled = recall(model, values, batch.motion)
-
-    def part(piece):
-        y, dy = sensitivities(model, values, none, piece, simulate, recalled)
-        return _leftover_of(piece, y, dy)
-
-    return _in_pieces(part, batch)
+    return _of_windows(model, values, none, batch, simulate, _leftover_of)
 
 
 def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:

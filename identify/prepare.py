@@ -45,6 +45,11 @@ some 40 Hz on a log at 1 kHz."""
 
 MOST_TICKS = 80_000
 """Ticks that a fit or a check takes in: more only cost time."""
+
+RUN = 20
+"""Windows that follow each other where only some of a log's are taken: friction is
+followed through them, and through the seconds ahead, so that memory does not grow with
+the length of the log."""
 QUARTERS = 4
 """Steps of the bristle per tick."""
 
@@ -88,6 +93,7 @@ class _Segment:
     """
 
     log: int
+    origin: float  # when the log began
     t: np.ndarray
     place: interpolate.BSpline
     v: np.ndarray
@@ -136,35 +142,34 @@ def prepare(
             f"above {band:.0f} Hz acceleration would be noise of the position: {what} "
             "taken below that"
         )
-    segments = [
-        _segment(i, log, spec, slice(*rows), driven_by, sign, band)
+    rows = [
+        (i, slice(*own))
         for i, log in enumerate(logs)
-        for rows in log.segments
-        if rows[1] - rows[0] > 20
+        for own in log.segments
+        if own[1] - own[0] > 20
     ]
-    if not segments:
+    if not rows:
         raise InputError(f"{logs[0].name}: no stretch without gaps has over 20 rows")
-    h = float(np.median(np.concatenate([np.diff(s.t) for s in segments])))
+    h = float(np.median(np.concatenate([np.diff(logs[i].time[r]) for i, r in rows])))
     T = max(int(round(horizon / h)), 8)
     pre, lead = (PRE, LEAD) if driven_by == "u" else (1, min(LEAD, int(0.3 / h)))
     n = max(1, int(np.ceil(h / 1.5e-3))) if driven_by == "u" else 1
-    cuts = [
-        (k, first) for k, s in enumerate(segments) for first in _starts(s, T, pre, lead)
-    ]
-    if not cuts:
+    starts = [_starts(logs[i].time[r], T, pre, lead) for i, r in rows]
+    count, most = sum(map(len, starts)), max(MOST_TICKS // (lead + T), 1)
+    if count == 0:
         raise InputError(
             f"{logs[0].name}: no stretch without gaps is longer than "
             f"{SETTLE / 2 + (pre + lead + T) * h:.2g} s: give a longer log or a "
             "shorter --horizon"
         )
-    most = max(MOST_TICKS // (lead + T), 1)
-    if len(cuts) > most:
+    if count > most:
+        rows, starts = _runs(rows, starts, most, lead + T)
         notes.append(
-            f"{most} windows of {len(cuts)}, spread evenly, were used: the logs hold "
-            "more than a fit needs"
+            f"{sum(map(len, starts))} windows of {count}, in runs spread evenly, were "
+            "used: the logs hold more than a fit needs"
         )
-        spread = np.linspace(0, len(cuts) - 1, most).astype(int)
-        cuts = [cuts[i] for i in spread]
+    segments = [_segment(i, logs[i], spec, r, driven_by, sign, band) for i, r in rows]
+    cuts = [(k, first) for k, own in enumerate(starts) for first in own]
     windows, P_0 = _windows(segments, cuts, T, pre, lead, n)
     travel = (float(windows.x.min()), float(windows.x.max()))
     if noise is None:
@@ -270,6 +275,7 @@ def _segment(
             F = smooth(t, F, band)(t) if np.ptp(F) > 0 else F
     return _Segment(
         log=i,
+        origin=float(log.time[0]),
         t=t,
         place=place,
         v=v,
@@ -314,12 +320,41 @@ def runs_backward(data: Data) -> bool:
     return bool(np.all(np.array(falls) < -5 * data.noise[2]))
 
 
-def _starts(s: _Segment, T: int, pre: int, lead: int) -> range:
-    """First ticks (of the lead) of the windows that tile a segment."""
-    settle = SETTLE if s.t[-1] - s.t[0] > SHORT else SETTLE / 2
-    settled = int(np.searchsorted(s.t, s.t[0] + settle))
+def _starts(t: np.ndarray, T: int, pre: int, lead: int) -> range:
+    """First ticks (of the lead) of the windows that tile a segment with times `t`."""
+    settle = SETTLE if t[-1] - t[0] > SHORT else SETTLE / 2
+    settled = int(np.searchsorted(t, t[0] + settle))
     begin = max(settled - lead, pre)
-    return range(begin, s.t.size - lead - T + 1, T)
+    return range(begin, t.size - lead - T + 1, T)
+
+
+def _runs(
+    rows: list[tuple[int, slice]], starts: list[range], most: int, size: int
+) -> tuple[list[tuple[int, slice]], list[range]]:
+    """Runs of windows spread evenly, each a stretch with what it needs ahead of it.
+
+    `rows` and `starts` are the segments' and their windows'; at most `most` windows of
+    `size` ticks are kept.
+    """
+    blocks = [
+        (k, own[j : j + RUN])
+        for k, own in enumerate(starts)
+        for j in range(0, len(own), RUN)
+    ]
+    whole = [len(own) for _, own in blocks]
+    count = max(int(most / np.mean(whole)), 1)
+    spread = (
+        np.linspace(0, len(blocks) - 1, min(count, len(blocks))).round().astype(int)
+    )
+    kept_rows, kept = [], []
+    for k, own in (blocks[j] for j in np.unique(spread)):
+        i, of = rows[k]
+        ahead = min(own[0], starts[k][0])
+        # A little beyond the last window, where a spline is at its end.
+        stop = min(of.start + own[-1] + size + LEAD, of.stop)
+        kept_rows.append((i, slice(of.start + own[0] - ahead, stop)))
+        kept.append(range(ahead, ahead + own[-1] - own[0] + 1, own.step))
+    return kept_rows, kept
 
 
 def _motion(segments: list[_Segment], h: float) -> Motion:
@@ -370,7 +405,7 @@ def _windows(
             "h": h,
             "P_s": s.P_s[at],
             "P_r": s.P_r[at],
-            "t": t - segments[k].t[0],
+            "t": t - s.origin,
             "x": s.place(t),
             "v": s.v[at],
             "a": s.a[at],

@@ -10,21 +10,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 
+from ..backend import bucket
 from ..params import Spec
 from ..rig import Rig
 from ..rigfile import RigSpec
-from .misfit import (
-    Basis,
-    Batch,
-    Model,
-    Sums,
-    basis,
-    leftover,
-    slot_names,
-    sums,
-)
+from .columns import Basis, Batch, Model, basis, slot_names
+from .misfit import Sums, leftover, sums
 from .prepare import Data
 from .solve import Fit, minimise
 
@@ -73,12 +66,34 @@ def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
 def batch_of(data: Data) -> Batch:
     """A fit's arrays from prepared logs."""
     return Batch(
-        data.motion,
-        data.windows,
-        jnp.asarray(data.P_0),
-        jnp.asarray(data.noise),
-        jnp.asarray(data.supply_noise),
-        jnp.ones(data.P_0.shape[0]),
+        *jax.tree.map(np.asarray, (data.motion, data.windows)),
+        data.P_0,
+        data.noise,
+        np.asarray(data.supply_noise),
+        np.ones(data.P_0.shape[0]),
+    )
+
+
+def filled(batch: Batch) -> Batch:
+    """The batch with copies of its last window that weigh nothing, and standstill after
+    its motion: logs of other lengths then find their programs compiled.
+    """
+    windows = bucket(len(batch.P_0))
+    which = np.minimum(np.arange(windows), len(batch.P_0) - 1)
+    segments, ticks = batch.motion.h.shape
+    more = (bucket(segments, 1) - segments, bucket(ticks + 1) - ticks - 1)
+
+    def longer(a, mode="edge"):
+        return np.pad(a, [*zip((0, 0, 0), (*more, 0), strict=True)][: a.ndim], mode)
+
+    own = (batch.windows, batch.P_0, batch.weight)
+    own = jax.tree.map(lambda a: np.asarray(a)[which], own)
+    motion = jax.tree.map(longer, batch.motion)
+    return batch._replace(
+        motion=motion._replace(dx=longer(batch.motion.dx, "constant")),
+        windows=own[0],
+        P_0=own[1],
+        weight=own[2] * (np.arange(windows) < len(batch.P_0)),
     )
 
 
@@ -202,7 +217,7 @@ class Problem:
 
         batch = self.batch
         if noise is not None:
-            batch = batch._replace(noise=jnp.asarray(noise))
+            batch = batch._replace(noise=noise)
         out = _run(
             self.model,
             jnp.asarray(values),
@@ -210,9 +225,10 @@ class Problem:
             self._prior(columns, at, scale),
             boxed(lower),
             boxed(upper),
-            batch,
+            filled(batch),
             self.simulate,
         )
+        out = out._replace(also=self._real(out.also))
         moved = values.copy()
         step = np.asarray(out.at) * scale
         for i, name in enumerate(columns):
@@ -242,7 +258,7 @@ class Problem:
         """The windows' sums at `values`, along every parameter of the model."""
         batch = self.batch
         if noise is not None:
-            batch = batch._replace(noise=jnp.asarray(noise))
+            batch = batch._replace(noise=noise)
         n = self.model.hydraulic
         every = basis(self.model, self.model.names, (n, len(self.model.names) - n))
         return self._evaluate(values, every, batch)
@@ -254,9 +270,11 @@ class Problem:
         a fit come with a first guess only, too far off for one linear step.
         """
         batch, at = self.batch, jnp.asarray(values)
-        _, error = _leftover(self.model, at, batch, self.simulate)
-        batch = batch._replace(P_0=batch.P_0 - error)
-        return np.asarray(_leftover(self.model, at, batch, self.simulate)[0])
+        for _ in range(2):
+            found = _leftover(self.model, at, filled(batch), self.simulate)
+            residual, error = self._real(found)
+            batch = batch._replace(P_0=batch.P_0 - error)
+        return residual
 
     def errors_at(self, values: np.ndarray) -> np.ndarray:
         """Squared residuals by window and channel, [W, 3], SI."""
@@ -264,7 +282,12 @@ class Problem:
 
     def _evaluate(self, values, directions, batch) -> Sums:
         values = jnp.asarray(values)
-        return _sums(self.model, values, directions, batch, self.simulate)
+        out = _sums(self.model, values, directions, filled(batch), self.simulate)
+        return self._real(out)
+
+    def _real(self, found: PyTree) -> PyTree:
+        """What was found of the windows, without those that only fill up."""
+        return jax.tree.map(lambda a: np.asarray(a)[: len(self.batch.P_0)], found)
 
     def restarted(self, at: Sums) -> Problem:
         """The problem with each window's initial pressures moved to their estimate."""

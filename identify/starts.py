@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .misfit import Batch, basis
-from .problem import Problem, run_starts
+from .columns import Batch, basis
+from .problem import Problem, filled, run_starts
 
 SPREAD = 0.3
 """Starts are drawn within this share of a parameter's size, inside its range."""
@@ -49,7 +49,7 @@ def best_start(
         basis(problem.model, free, slots),
         coordinates(lower),
         coordinates(upper),
-        thinned(problem.batch),
+        filled(thinned(problem.batch)),
         problem.simulate,
     )
     cost = np.where(np.isfinite(out.cost), out.cost, np.inf)

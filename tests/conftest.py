@@ -2,10 +2,11 @@
 
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 import pytest
 
@@ -193,6 +194,20 @@ def recorded(tmp_path_factory) -> Callable[..., Path]:
         return made[key]
 
     return record
+
+
+@pytest.fixture
+def compiled() -> Iterator[list[str]]:
+    """Grows by one for each program that took half a second or more to compile."""
+    heard: list[str] = []
+
+    def hear(event: str, **_: object) -> None:
+        if event == "/jax/compilation_cache/cache_misses":
+            heard.append(event)
+
+    jax.monitoring.register_event_listener(hear)
+    yield heard
+    jax.monitoring.unregister_event_listener(hear)
 
 
 class Said(NamedTuple):

@@ -7,13 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pint
 import pytest
-from hydrojax.identify.misfit import (
+from hydrojax.identify.columns import (
     NUISANCE,
     SUPPLY_BLOCKS,
     Batch,
     Model,
     basis,
+    driven,
     predict,
+    recall,
     sensitivities,
 )
 from scipy.integrate import solve_ivp
@@ -557,13 +559,20 @@ def batch(log):
     return Batch(motion, windows, P_0, jnp.asarray(NOISE), jnp.asarray(9e3), ones)
 
 
+def moved(model, values, directions, b, simulate):
+    """Predictions and columns, as a fit makes them."""
+    pressure = driven(model, values, directions, b, simulate)
+    memory = recall(model, values, b.motion)
+    return sensitivities(model, values, directions, b.windows, pressure, memory)
+
+
 @pytest.fixture(scope="module")
 def columns(full, batch):
     """Predictions, and their derivative to every parameter and nuisance."""
     model = Model.of(full)
     slots = (model.hydraulic, len(model.names) - model.hydraulic)
     directions = basis(model, model.names, slots)
-    run = jax.jit(lambda values, b: sensitivities(model, values, directions, b, True))
+    run = jax.jit(lambda values, b: moved(model, values, directions, b, True))
     return model, *(np.asarray(out) for out in run(model.values, batch))
 
 
@@ -634,7 +643,7 @@ def test_driven_by_logged_pressures_only_friction_has_derivatives(full, batch):
     model = Model.of(full)
     slots = (model.hydraulic, len(model.names) - model.hydraulic)
     directions = basis(model, model.names, slots)
-    run = jax.jit(lambda values, b: sensitivities(model, values, directions, b, False))
+    run = jax.jit(lambda values, b: moved(model, values, directions, b, False))
     dy = np.asarray(run(model.values, batch)[1])
     # What stretches moves the piston, and friction with it.
     moves = tuple(f"{effect.name}." for effect in full.stretch)

@@ -78,7 +78,7 @@ def test_the_reader_of_imports_reads():
     """What the tests below rest on, seen where it is known."""
     assert "hydrojax.rig" in imports("hydrojax.replay")
     assert "hydrojax.params.param" in imports("hydrojax.effects.hydraulic")
-    assert "hydrojax.replay" in imports("hydrojax.identify.misfit")
+    assert "hydrojax.replay" in imports("hydrojax.identify.columns")
     assert {"hydrojax.tune", "hydrojax.effects"} <= set(MODULES)
 
 

@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from hydrojax.identify import run, starts
+from hydrojax.identify.columns import basis
 from hydrojax.identify.fit import fit
 from hydrojax.identify.measured import estimate_noise, motion_band, smooth
-from hydrojax.identify.misfit import basis
 from hydrojax.identify.outcome import Outcome
 from hydrojax.identify.prepare import prepare, runs_backward
 from hydrojax.identify.problem import Problem, free_parameters

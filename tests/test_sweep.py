@@ -112,6 +112,16 @@ def test_chunks_change_nothing(setting, known):
         np.testing.assert_allclose(parts[name], table, rtol=1e-12, atol=1e-12 * scale)
 
 
+def test_other_values_compile_nothing(setting, known, compiled):
+    def swept(words):
+        return sweep.run(plan_of(setting, known, words, ("linear", "multisine")))
+
+    swept(["k_p=0.5:1:2", "k_f=1:2:2"])
+    compiled.clear()
+    swept(["k_p=0.6:1.3:2", "k_f=0.9:2.2:2"])
+    assert compiled == []
+
+
 def test_a_cell_is_the_rig_with_its_values(setting, known):
     """The map's cell at the rig's own gains, alone."""
     data = sweep.run(plan_of(setting, known, ["k_p=0.6,1.2", "k_f=2.4,4.8"]))

@@ -49,6 +49,13 @@ def ratios(outcome: Outcome) -> dict[str, float]:
     return {n: c.after / c.noise for n, c in outcome.channels.items()}
 
 
+def test_other_rigs_and_effects_compile_nothing(traced, compiled):
+    traced("none")
+    compiled.clear()
+    traced("stribeck")
+    assert compiled == []
+
+
 # -- what is named --
 
 

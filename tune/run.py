@@ -70,6 +70,39 @@ def make_plants(
     return axes.ensemble(setting, count, spread)
 
 
+def plan_sweep(
+    rig: Path,
+    over: Sequence[str],
+    by: Sequence[str] = ("linear",),
+    gains: Mapping[str, object] | None = None,
+    at: Sequence[str] = (),
+    count: int = 0,
+    spread: float = axes.SPREAD,
+    report: Path | None = None,
+    frozen: bool = False,
+) -> sweep.Plan:
+    """What a sweep of a rig file does; see the command line's help for the words.
+
+    Raises:
+        InputError: words that will not do.
+    """
+    for way in by:
+        if way not in sweep.METHODS:
+            raise InputError(f"--by {way!r}: write one of {', '.join(sweep.METHODS)}")
+    spec, setting, known = open_rig(rig, gains, at, over)
+    plan = sweep.Plan(
+        setting,
+        axes.read_axes(over, known),
+        known,
+        tuple(m for m in sweep.METHODS if m in by),
+        make_plants(setting, count, spread, report),
+        frozen,
+        spec.name,
+        spec.command_unit,
+    )
+    return sweep.prepare(plan)
+
+
 def sweep_rig(
     rig: Path,
     over: Sequence[str],
@@ -88,21 +121,8 @@ def sweep_rig(
     Raises:
         InputError: words that will not do, or a folder that holds another sweep.
     """
-    for way in by:
-        if way not in sweep.METHODS:
-            raise InputError(f"--by {way!r}: write one of {', '.join(sweep.METHODS)}")
-    spec, setting, known = open_rig(rig, gains, at, over)
-    plan = sweep.Plan(
-        setting,
-        axes.read_axes(over, known),
-        known,
-        tuple(m for m in sweep.METHODS if m in by),
-        make_plants(setting, count, spread, report),
-        frozen,
-        spec.name,
-        spec.command_unit,
-    )
-    return sweep.run(sweep.prepare(plan), out, tell)
+    plan = plan_sweep(rig, over, by, gains, at, count, spread, report, frozen)
+    return sweep.run(plan, out, tell)
 
 
 Progress = Callable[[str], None]

@@ -221,11 +221,9 @@ def run(plan: Plan, folder: Path | None = None, tell: Tell | None = None) -> xr.
     key = plan.key()
     if folder is not None:
         _claim(folder, key)
-        whole = folder / "sweep.nc"
-        if whole.exists():
-            kept = xr.load_dataset(whole, engine="h5netcdf")
-            if set(kept.attrs["methods"].split()) >= set(plan.methods):
-                return kept
+        kept = _whole(plan, folder)
+        if kept is not None:
+            return kept
     count = len(plan.table())
     total, gone = count * len(plan.methods), 0
     work: _Work | None = None
@@ -261,6 +259,58 @@ def run(plan: Plan, folder: Path | None = None, tell: Tell | None = None) -> xr.
     if folder is not None:
         save_dataset(data, folder / "sweep.nc")
     return data
+
+
+def left(plan: Plan, folder: Path) -> list[tuple[str, int]]:
+    """Method and number of every chunk that a folder has not yet.
+
+    Raises:
+        InputError: the folder holds another sweep.
+    """
+    _claim(folder, plan.key())
+    if _whole(plan, folder) is not None:
+        return []
+    return [
+        (method, i)
+        for method in plan.methods
+        for i in range(_chunks(plan, method))
+        if not _part(folder, _tag(plan, method), i).exists()
+    ]
+
+
+def chunk_worker(plan: Plan, folder: Path) -> Callable[[str, int], None]:
+    """What works out one chunk and keeps it, for workers that share a sweep out.
+
+    Args:
+        plan: as `prepare` gives it.
+        folder: of the sweep, the same for all workers.
+    """
+    work = _Work(plan)
+
+    def do(method: str, i: int) -> None:
+        tag = _tag(plan, method)
+        if not _part(folder, tag, i).exists():
+            others = set(range(_chunks(plan, method))) - {i}
+            work.run(
+                method,
+                lambda i, out: _write(folder, tag, i, out),
+                others,
+                lambda _: None,
+            )
+
+    return do
+
+
+def _chunks(plan: Plan, method: str) -> int:
+    return -(-int(np.prod(plan.shape)) // chunk_size(plan, method))
+
+
+def _whole(plan: Plan, folder: Path) -> xr.Dataset | None:
+    """The sweep that is done, if it has all that is asked for."""
+    if not (folder / "sweep.nc").exists():
+        return None
+    kept = xr.load_dataset(folder / "sweep.nc", engine="h5netcdf")
+    return kept if set(kept.attrs["methods"].split()) >= set(plan.methods) else None
 
 
 def _claim(folder: Path, key: str) -> None:

@@ -234,8 +234,13 @@ def sparse(residual: np.ndarray, columns: Columns, noise: np.ndarray) -> dict[st
 # -- refit each candidate --
 
 
-def refit_case(folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
-    """Fit the declared model alone and with each effect; BIC on the validation logs."""
+def refit_case(
+    folder: Path, tell: Callable[[str], None], names: Sequence[str] | None = None
+) -> dict[str, Any]:
+    """Fit the declared model alone and with each effect; BIC on the validation logs.
+
+    `names` are the effects; all of the vocabulary if None.
+    """
     from hydrojax.identify import run
 
     from hydrojax.effects import EFFECTS
@@ -245,7 +250,7 @@ def refit_case(folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
     fit, check = [folder / n for n in LOGS[:2]], [folder / LOGS[2]]
     base = (folder / "rig.toml").read_text()
     began, scores = time.perf_counter(), {}
-    for name in ("", *EFFECTS):
+    for name in ("", *(EFFECTS if names is None else names)):
         tell(f"{folder.name}: {name or 'declared'}")
         rig = folder / "refit.toml"
         rig.write_text(base + (declare([name]) if name else ""))

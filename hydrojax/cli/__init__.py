@@ -9,7 +9,7 @@ import typer
 
 from .. import __version__
 from ..errors import InputError
-from . import export, identify, loop, tune
+from . import batch, export, identify, loop, tune
 from .desk import app, console, errors
 
 
@@ -53,7 +53,9 @@ def spread(words: list[str]) -> list[str]:
 
 
 def _refuse(error: Exception) -> NoReturn:
-    errors.print(f"hydrojax: {error}", style=None, markup=False, soft_wrap=True)
+    errors.print(
+        f"hydrojax: {error}", style=None, markup=False, emoji=False, soft_wrap=True
+    )
     sys.exit(2)
 
 
@@ -67,4 +69,4 @@ def main() -> None:
         _refuse(error)
 
 
-__all__ = ["app", "export", "identify", "loop", "main", "spread", "tune"]
+__all__ = ["app", "batch", "export", "identify", "loop", "main", "spread", "tune"]

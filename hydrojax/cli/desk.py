@@ -64,6 +64,14 @@ At = Annotated[
     ),
 ]
 
+Cluster = Annotated[
+    str,
+    typer.Option(
+        help="Address of a dask scheduler, or local:N, whose workers do it.",
+        show_default=False,
+    ),
+]
+
 Profile = Annotated[
     bool,
     typer.Option("--profile", help="Intervals by profile likelihood too: many refits."),

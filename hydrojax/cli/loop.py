@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from ..backend import set_up_jax, user_cache
+from ..backend import LOOPS, set_up_jax, user_cache
 from ..errors import InputError
 from ..files import write_all
 from .desk import (
@@ -54,7 +54,7 @@ def simulate(
 ) -> None:
     """Run a rig in closed loop; write the log that it would have given."""
     check_file(out)
-    set_up_jax(user_cache())
+    set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     import warnings
 
@@ -210,7 +210,7 @@ def bounds(
 def paper(out: Out = Path("hydrojax-paper")) -> None:
     """Repeat the paper's experiments on the reference rig: Figs. 2 to 5."""
     check_out(out)
-    set_up_jax(user_cache())
+    set_up_jax(user_cache(), LOOPS)
     import json
 
     from .. import paper as experiments

@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from ..backend import set_up_jax, user_cache
+from ..backend import LOOPS, set_up_jax, user_cache
 from .desk import (
     At,
+    Cluster,
     Effects,
     Gains,
     Out,
@@ -60,6 +61,7 @@ def sweep(
         bool, typer.Option("--frozen", help="Measure with the adaptation frozen.")
     ] = False,
     effects: Effects = None,
+    cluster: Cluster = "",
     out: Out = Path("hydrojax-sweep"),
 ) -> None:
     """Map bandwidth over gains, bounds, plant, load, signal path, operating point.
@@ -68,15 +70,20 @@ def sweep(
     nothing.
     """
     check_out(out)
-    set_up_jax(user_cache())
+    set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from ..tune import maps, run
 
+    words = (
+        rig, over, by or ("linear",), given(gains or []), at or (), ensemble, spread,
+        report, frozen,
+    )  # fmt: skip
     with counted("sweep") as tell:
-        data = run.sweep_rig(
-            rig, over, by or ("linear",), given(gains or []), at or (), ensemble,
-            spread, report, frozen, out, tell,
-        )  # fmt: skip
+        if cluster:
+            from ..fleet.sweeps import share_sweep
+
+            share_sweep(words, effects or (), out, cluster, tell)
+        data = run.sweep_rig(*words, out, tell)
     for name, figure in maps.figures(data).items():
         figure.savefig(out / f"{name}.png", dpi=120)
     for line in run.sentences(data):
@@ -131,7 +138,7 @@ def tune(
 ) -> None:
     """Find the gains that give the widest bandwidth, and say what limits it."""
     check_out(out)
-    set_up_jax(user_cache())
+    set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from ..tune import goal, report, tuning
 
