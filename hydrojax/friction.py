@@ -89,8 +89,9 @@ class Friction(eqx.Module):
         forces a velocity whose lag has the bristle's sign: it turns with the friction.
         """
         up = at.z > 0
-        # Never beyond 1 in size, by (4). A clip would only cut the derivative there.
-        turn = at.z / self.z_ss
+        # In sliding z is z_ss to the last place: a clip just there would cut the
+        # derivative by rounding.
+        turn = jnp.clip(at.z / self.z_ss, -1 - 1e-13, 1 + 1e-13)
         film = at._replace(v=at.v + jnp.where(at.v < 0, -1.0, 1.0) * at.lag)
         level = jnp.where(up, self.k_cp, self.k_cn)
         level = level + sum(e.level(film, level) for e in levels)

@@ -1,0 +1,90 @@
+"""The command over many logs: `batch`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..backend import set_up_jax, user_cache
+from ..errors import InputError
+from .desk import (
+    Cluster,
+    Effects,
+    Horizon,
+    Out,
+    Profile,
+    app,
+    check_out,
+    console,
+    counted,
+    errors,
+    load_effects,
+)
+
+
+@app.command()
+def batch(
+    jobs: Annotated[
+        Path,
+        typer.Argument(
+            help="Table (CSV, Parquet) with columns rig, fit, validate (logs, ; "
+            "between them), if you like job, and labels; or a folder of folders with "
+            "rig.toml, fit*, validate*.",
+            show_default=False,
+        ),
+    ],
+    out: Out = Path("hydrojax-batch"),
+    command: Annotated[str, typer.Option(help="identify or trace.")] = "trace",
+    workers: Annotated[
+        int,
+        typer.Option(help="Worker processes.", min=0, show_default="one per core"),
+    ] = 0,
+    cluster: Cluster = "",
+    horizon: Horizon = 0.25,
+    starts: Annotated[
+        int,
+        typer.Option(
+            help="Fits from so many starts.", min=0, show_default="the command's own"
+        ),
+    ] = 0,
+    matters: Annotated[
+        float,
+        typer.Option(help="Least fall of the error, as a share of the noise.", min=0.0),
+    ] = 0.02,
+    level: Annotated[
+        float, typer.Option(help="Family-wise significance.", min=1e-12, max=0.5)
+    ] = 0.01,
+    profile: Profile = False,
+    effects: Effects = None,
+) -> None:
+    """Identify or trace a fleet of logs; one table and one report over all of them.
+
+    Run again, a fleet that was stopped goes on where it was, and one that is done does
+    nothing. A log that will not do fails alone.
+    """
+    check_out(out)
+    if command not in ("identify", "trace"):
+        raise InputError(f"--command {command}: write identify or trace")
+    set_up_jax(user_cache())
+    load_effects(effects)
+    from ..fleet.run import Stopped, run_fleet
+    from ..fleet.work import Options
+
+    options = Options(
+        command=command, horizon=horizon, starts=starts, matters=matters, level=level,
+        profile=profile, effects=tuple(map(str, effects or ())),
+    )  # fmt: skip
+    try:
+        with counted(command) as tell:
+            ran = run_fleet(jobs, out, options, workers, cluster, tell)
+    except Stopped as stop:
+        errors.print(
+            f"hydrojax: stopped: {stop}; give the same command again to go on",
+            style=None, markup=False, emoji=False, soft_wrap=True,
+        )  # fmt: skip
+        raise typer.Exit(130) from None
+    what = f"{ran.jobs} jobs, {ran.done} done now"
+    console.print(f"{what}, {ran.failed} failed" if ran.failed else what)
+    console.print(f"fleet.html and fleet.parquet in {out}", markup=False, emoji=False)
