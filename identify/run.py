@@ -33,6 +33,9 @@ from .uncertainty import believe
 
 Tell = Callable[[str], None]
 
+TOLD = 3.0
+"""Standard deviations by which a fit must tell k_cp from k_cn to keep them apart."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -275,12 +278,20 @@ def _settled(state: Tracing) -> tuple[Tracing, tuple[str, ...]]:
     """The final fit, symmetric in Coulomb friction unless the check tells otherwise.
 
     In sliding only `k_cp + k_0` and `k_cn - k_0` act: the three differ in the bristle's
-    turning alone, which a log may not resolve. Of two descriptions that do as well on
-    the check, the simpler one is taken.
+    turning alone, which a log may not resolve. Where the fit does not tell k_cp from
+    k_cn, and the check is as good without a difference, the simpler of the two
+    descriptions is taken.
     """
     noise = state.noise
     if not {*COULOMB, "k_0"} <= set(state.free) or not np.isfinite(noise[2]):
         return state, ()
+    belief = believe(state.problem, state.point, state.free)
+    if set(COULOMB) <= set(belief.inside):
+        at = [belief.inside.index(n) for n in COULOMB]
+        between = belief.covariance[np.ix_(at, at)]
+        spread = np.sqrt(np.array([1, -1]) @ between @ np.array([1, -1]))
+        if abs(state.named["k_cp"] - state.named["k_cn"]) > TOLD * spread:
+            return state, ()
     problem, point = fit_jointly(
         replace(state.problem, symmetric=True),
         state.point.values,
