@@ -32,6 +32,12 @@ def compiler() -> str | None:
     )
 
 
+def version(cc: str) -> str:
+    """The first line of what a compiler says of itself."""
+    said = subprocess.run([cc, "--version"], capture_output=True, text=True)
+    return (said.stdout.splitlines() or [cc])[0]
+
+
 def _command(source: str, real: str, lanes: int) -> list[str]:
     cc = compiler()
     if cc is None:

@@ -19,7 +19,6 @@ from hydrojax.friction import Sliding
 from hydrojax.hydraulics import Point
 from hydrojax.loop import Course, Loop
 from hydrojax.loop import begin as at_rest
-from hydrojax.rig import sides
 from hydrojax.simulation import PARTS
 
 from .numbers import delay
@@ -33,7 +32,7 @@ def _rates(t, y, args):
     x = a + t * (4 * b - 3 * a - c + t * 2 * (a - 2 * b + c))
     v = (4 * b - 3 * a - c + 4 * t * (a - 2 * b + c)) / h
     line = (p[0] + t * (p[1] - p[0]) for p in (P_s, P_r))
-    at = Point(P_1, P_2, *line, *sides(place), x=x, v=v)
+    at = Point(P_1, P_2, *line, (place,), x=x, v=v)
     lag = next(c for c in rig.command if isinstance(c, ValveLag))
     friction = rig.mechanics
     rates = (
