@@ -71,10 +71,10 @@ class Batch(NamedTuple):
 
     motion: Motion
     windows: Windows
-    P_0: Array
-    noise: Array
-    supply_noise: Array
-    weight: Array
+    P_0: Array | np.ndarray
+    noise: Array | np.ndarray
+    supply_noise: Array | np.ndarray
+    weight: Array | np.ndarray
 
 
 class Basis(NamedTuple):

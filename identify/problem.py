@@ -65,13 +65,9 @@ def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
 
 def batch_of(data: Data) -> Batch:
     """A fit's arrays from prepared logs."""
-    return Batch(
-        *jax.tree.map(np.asarray, (data.motion, data.windows)),
-        data.P_0,
-        data.noise,
-        np.asarray(data.supply_noise),
-        np.ones(data.P_0.shape[0]),
-    )
+    motion, windows = jax.tree.map(np.asarray, (data.motion, data.windows))
+    supply_noise, weight = np.asarray(data.supply_noise), np.ones(len(data.P_0))
+    return Batch(motion, windows, data.P_0, data.noise, supply_noise, weight)
 
 
 def filled(batch: Batch) -> Batch:
@@ -83,14 +79,16 @@ def filled(batch: Batch) -> Batch:
     segments, ticks = batch.motion.h.shape
     more = (bucket(segments, 1) - segments, bucket(ticks + 1) - ticks - 1)
 
-    def longer(a, mode="edge"):
-        return np.pad(a, [*zip((0, 0, 0), (*more, 0), strict=True)][: a.ndim], mode)
+    def longer(a):
+        return np.pad(a, [*zip((0, 0, 0), (*more, 0), strict=True)][: a.ndim], "edge")
 
     own = (batch.windows, batch.P_0, batch.weight)
     own = jax.tree.map(lambda a: np.asarray(a)[which], own)
     motion = jax.tree.map(longer, batch.motion)
+    still = np.array(motion.dx)
+    still[segments:], still[:, ticks:] = 0.0, 0.0
     return batch._replace(
-        motion=motion._replace(dx=longer(batch.motion.dx, "constant")),
+        motion=motion._replace(dx=still),
         windows=own[0],
         P_0=own[1],
         weight=own[2] * (np.arange(windows) < len(batch.P_0)),
@@ -270,11 +268,13 @@ class Problem:
         a fit come with a first guess only, too far off for one linear step.
         """
         batch, at = self.batch, jnp.asarray(values)
-        for _ in range(2):
-            found = _leftover(self.model, at, filled(batch), self.simulate)
-            residual, error = self._real(found)
-            batch = batch._replace(P_0=batch.P_0 - error)
-        return residual
+
+        def found(batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+            out = _leftover(self.model, at, filled(batch), self.simulate)
+            return self._real(out)
+
+        batch = batch._replace(P_0=batch.P_0 - found(batch)[1])
+        return found(batch)[0]
 
     def errors_at(self, values: np.ndarray) -> np.ndarray:
         """Squared residuals by window and channel, [W, 3], SI."""
