@@ -118,7 +118,7 @@ def slot_names(
 def predict(rig: Rig, batch: Batch, simulate: bool) -> Array:
     """What the sensors would read, [W, T, 3], from the batch's initial pressures."""
     w = batch.windows
-    P = pressures(rig, w, batch.P_0) if simulate else (w.P_a1, w.P_a2)
+    P = pressures(rig, w, jnp.asarray(batch.P_0)) if simulate else (w.P_a1, w.P_a2)
     return readings(rig, w, *P, friction_memory(rig, batch.motion).within(w))
 
 

@@ -390,9 +390,7 @@ def test_17_the_plant_gives_what_the_law_asks_for(layout):
     u = law.command(virtual, Measured(P_1, P_2, P_s, 0 * x, x))
     u = np.asarray(u)
     assert np.all(np.sign(u) == -np.sign(virtual))
-    at = Point(
-        P_1, P_2, P_s, 0 * x + GIVEN["P_r"], np.maximum(u, 0), np.maximum(-u, 0), x, v
-    )
+    at = Point(P_1, P_2, P_s, 0 * x + GIVEN["P_r"], (u,), x, v)
     rates = law.nominal.pressure_rates(at)
     got = np.asarray(law.nominal.drive_force(*rates))
     A_1, A_2 = AREAS[layout]

@@ -49,10 +49,12 @@ def ratios(outcome: Outcome) -> dict[str, float]:
     return {n: c.after / c.noise for n, c in outcome.channels.items()}
 
 
-def test_other_rigs_and_effects_compile_nothing(traced, compiled):
+def test_another_rig_compiles_nothing(traced, recorded, compiled):
     traced("none")
     compiled.clear()
-    traced("stribeck")
+    case = recorded(2, {})
+    logs = [case / "fit_1.csv", case / "fit_2.csv"]
+    run.trace_case(run.open_case(case / "rig.toml", logs, [case / "validate.csv"]))
     assert compiled == []
 
 
