@@ -139,9 +139,7 @@ def read_log(
     used = {id(column) for column, _, _ in found.values()}
     ignored = tuple(c.label for c in file.columns if id(c) not in used)
     name = path.absolute().name  # of "." too
-    return Log(
-        name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts)
-    )
+    return Log(name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts))
 
 
 def _assign(
