@@ -23,7 +23,6 @@ from ..replay import (
     forces,
     friction_memory,
     pressures,
-    readings,
     sensed,
 )
 from ..rig import Rig
@@ -115,13 +114,6 @@ def slot_names(
     return [*first, *spare[0], *rest, *spare[1]]
 
 
-def predict(rig: Rig, batch: Batch, simulate: bool) -> Array:
-    """What the sensors would read, [W, T, 3], from the batch's initial pressures."""
-    w = batch.windows
-    P = pressures(rig, w, jnp.asarray(batch.P_0)) if simulate else (w.P_a1, w.P_a2)
-    return readings(rig, w, *P, friction_memory(rig, batch.motion).within(w))
-
-
 def memory_names(rig: Rig) -> tuple[str, ...]:
     """The parameters on which bristle, filtered speed and films depend."""
     moved = (
@@ -201,9 +193,10 @@ def sensitivities(
     pressure: Driven,
     recalled: Recalled,
 ) -> tuple[Array, Array]:
-    """Predictions [W, T, 3] and their derivatives [k + NUISANCE, W, T, 3].
+    """Predictions [W, T, 3] and their derivatives [k + NUISANCE, W, T, 3], SI.
 
-    The columns are those of `directions`, then what each window has of its own.
+    The columns are those of `directions`, then what each window has of its own;
+    `pressure` is of these windows, `recalled` of the motion they are cut from.
     """
     names, n = model.names, model.hydraulic
     here = put(model.rig, names, values)
@@ -217,11 +210,11 @@ def sensitivities(
     F, F_1 = _partial(lambda p: forces(here, w, p, P_2, past), P_1)
     F_2 = _partial(lambda p: forces(here, w, P_1, p, past), P_2)[1]
     zero = jnp.zeros(k_2)
-    own = jax.vmap(
-        lambda e: jax.jvp(lambda d: forces(moved(d), w, P_1, P_2, past), (zero,), (e,))[
-            1
-        ]
-    )(jnp.eye(k_2))
+
+    def force(d):
+        return forces(moved(d), w, P_1, P_2, past)
+
+    own = jax.vmap(lambda e: jax.jvp(force, (zero,), (e,))[1])(jnp.eye(k_2))
     by_1, by_2 = pressure.by
     still = jnp.zeros((k_2, *P_1.shape))
     d_P = [jnp.concatenate([d[:k_1], still, d[k_1:]]) for d in (by_1, by_2)]

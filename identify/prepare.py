@@ -333,7 +333,7 @@ def _runs(
 ) -> tuple[list[tuple[int, slice]], list[range]]:
     """Runs of windows spread evenly, each a stretch with what it needs ahead of it.
 
-    `rows` and `starts` are the segments' and their windows'; at most `most` windows of
+    `rows` and `starts` are the segments' and their windows'; about `most` windows of
     `size` ticks are kept.
     """
     blocks = [
@@ -341,13 +341,10 @@ def _runs(
         for k, own in enumerate(starts)
         for j in range(0, len(own), RUN)
     ]
-    whole = [len(own) for _, own in blocks]
-    count = max(int(most / np.mean(whole)), 1)
-    spread = (
-        np.linspace(0, len(blocks) - 1, min(count, len(blocks))).round().astype(int)
-    )
+    count = max(int(most / np.mean([len(own) for _, own in blocks])), 1)
+    spread = np.linspace(0, len(blocks) - 1, min(count, len(blocks)))
     kept_rows, kept = [], []
-    for k, own in (blocks[j] for j in np.unique(spread)):
+    for k, own in (blocks[j] for j in spread.round().astype(int)):
         i, of = rows[k]
         ahead = min(own[0], starts[k][0])
         # A little beyond the last window, where a spline is at its end.

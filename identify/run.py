@@ -29,7 +29,7 @@ from .profile import profiles
 from .starts import best_start
 from .summary import summarise
 from .trace import Tracing, trace
-from .uncertainty import believe
+from .uncertainty import Belief, believe
 
 Tell = Callable[[str], None]
 
@@ -274,8 +274,9 @@ class _Compiling:
         return total
 
 
-def _settled(state: Tracing) -> tuple[Tracing, tuple[str, ...]]:
-    """The final fit, symmetric in Coulomb friction unless the check tells otherwise.
+def _settled(state: Tracing) -> tuple[Tracing, Belief, tuple[str, ...]]:
+    """The final fit, what the logs say of it, and a remark: symmetric in Coulomb
+    friction unless fit or check tell otherwise.
 
     In sliding only `k_cp + k_0` and `k_cn - k_0` act: the three differ in the bristle's
     turning alone, which a log may not resolve. Where the fit does not tell k_cp from
@@ -283,15 +284,15 @@ def _settled(state: Tracing) -> tuple[Tracing, tuple[str, ...]]:
     descriptions is taken.
     """
     noise = state.noise
-    if not {*COULOMB, "k_0"} <= set(state.free) or not np.isfinite(noise[2]):
-        return state, ()
     belief = believe(state.problem, state.point, state.free)
+    if not {*COULOMB, "k_0"} <= set(state.free) or not np.isfinite(noise[2]):
+        return state, belief, ()
     if set(COULOMB) <= set(belief.inside):
         at = [belief.inside.index(n) for n in COULOMB]
-        between = belief.covariance[np.ix_(at, at)]
-        spread = np.sqrt(np.array([1, -1]) @ between @ np.array([1, -1]))
+        difference = np.array([1.0, -1.0])
+        spread = np.sqrt(difference @ belief.covariance[np.ix_(at, at)] @ difference)
         if abs(state.named["k_cp"] - state.named["k_cn"]) > TOLD * spread:
-            return state, ()
+            return state, belief, ()
     problem, point = fit_jointly(
         replace(state.problem, symmetric=True),
         state.point.values,
@@ -302,12 +303,13 @@ def _settled(state: Tracing) -> tuple[Tracing, tuple[str, ...]]:
         state.check.rms(state.check.errors_at(p.values)) for p in (state.point, point)
     )
     if np.any(tied > own + state.matters * np.maximum(noise, own)):
-        return state, ()
+        return state, belief, ()
     said = (
         "k_cp, k_cn and k_0: these logs tell only k_cp + k_0 and k_cn - k_0; k_cp and "
         "k_cn were taken as equal"
     )
-    return replace(state, problem=problem, point=point), (said,)
+    state = replace(state, problem=problem, point=point)
+    return state, believe(problem, point, state.free), (said,)
 
 
 def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
@@ -322,8 +324,7 @@ def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
 
 def _outcome(command, case, state, base, began, compiled, tell, profile) -> Outcome:
     tell("errors, intervals and what is left")
-    state, said = _settled(state)
-    belief = believe(state.problem, state.point, state.free)
+    state, belief, said = _settled(state)
     if profile:
         found = profiles(state.problem, state.point, state.free, belief, tell)
         belief = replace(belief, profiles=found)

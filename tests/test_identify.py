@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+from hydrojax.identify import prepare as prepare_room
 from hydrojax.identify import run, starts
 from hydrojax.identify.columns import basis
 from hydrojax.identify.fit import fit
@@ -26,6 +27,7 @@ from hydrojax.identify.uncertainty import believe
 from scipy import optimize
 
 from hydrojax.build import load_rig, make_rig
+from hydrojax.replay import friction_memory
 from hydrojax.signals import Log, read_log
 from tests import generator
 
@@ -464,6 +466,35 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
     np.testing.assert_allclose(np.asarray(w.x), rows_of * 1e-6, atol=1e-12)
     assert len({round(r) for r in rows_of[:, lead:].ravel()}) == scored[..., 0].size
     np.testing.assert_allclose(data.P_0[:, 0] - 5e6, rows_of[:, 0], atol=1e-2)
+
+
+def test_runs_of_a_long_log_are_what_the_whole_gives(recorded, monkeypatch):
+    """Every window, and what friction remembers there, within what `SETTLE` forgets."""
+    case = recorded(1, None, 30.0)
+    spec = load_rig(case / "rig.toml")
+    log = read_log(case / "fit_1.csv", spec.channels)
+    whole = prepare((log,), spec)
+    ticks = whole.windows.u.shape[1]
+    monkeypatch.setattr(prepare_room, "MOST_TICKS", 40 * ticks)
+    monkeypatch.setattr(prepare_room, "RUN", 8)
+    some = prepare((log,), spec)
+    count, every = len(some.P_0), len(whole.P_0)
+    assert 32 <= count <= 40 < 100 < every
+    assert f"{count} windows of {every}" in some.notes[-1]
+    assert some.motion.dx.size < 0.6 * whole.motion.dx.size
+    t = np.asarray(some.windows.t[:, 0])
+    assert np.ptp(t) > 0.8 * np.ptp(whole.windows.t)
+    at = np.searchsorted(np.asarray(whole.windows.t[:, 0]), t - 1e-6)
+    for name in ("t", "u", "before", "P_s", "measured", "x_fine", "v", "a"):
+        got, want = (np.asarray(getattr(d.windows, name)) for d in (some, whole))
+        np.testing.assert_allclose(got, want[at], atol=1e-6 * np.max(np.abs(want)))
+    rig = make_rig(spec, {})
+    for got, want in zip(
+        *(friction_memory(rig, d.motion).within(d.windows) for d in (some, whole)),
+        strict=True,
+    ):
+        want = np.asarray(want)
+        assert np.max(np.abs(got - want[at])) < 1e-4 * np.max(np.abs(want))
 
 
 @pytest.mark.parametrize("sigma", [0.3, 3.0, 3e3])

@@ -225,7 +225,7 @@ def test_slope_of_the_bandwidth_is_its_difference(setting, known, states):
     def band(gains):
         s = change(setting, known, k_p=gains[0], k_f=gains[1], k_1=gains[2])
         small = linear.system(s, point.start(s), states)
-        return merits.soft_within(hertz, linear.response(small, hertz)[:, 0, 0])
+        return merits.within(hertz, linear.response(small, hertz)[:, 0, 0])
 
     value, slope = program(band), program(jax.jacfwd(band))
     here = np.array([1.2, 2.4, 0.008])

@@ -76,15 +76,6 @@ def soft_inside(H: Array, most: float | Array, width: float) -> Array:
     return jnp.exp(jnp.cumsum(-jnp.logaddexp(0.0, -inside)))
 
 
-def soft_within(hertz: Array, H: Array, most: float = 1.0, width: float = 0.1) -> Array:
-    """`within` as a smooth function, for descent by its gradient, Hz.
-
-    The steps of the grid up to which all before are inside, each by how well it is;
-    as `width` goes to 0 this is `within`, on the grid.
-    """
-    return hertz[0] + jnp.sum(soft_inside(H, most, width)[1:] * jnp.diff(hertz))
-
-
 def unwrapped(H: Array) -> Array:
     """Phase without jumps, rad."""
     return jnp.unwrap(jnp.angle(H))
