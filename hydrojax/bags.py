@@ -94,7 +94,7 @@ def _places(path: Path, bag: Bag, columns: Mapping[str, str]) -> dict[str, _Plac
     out: dict[str, _Place] = {}
     for name, column in columns.items():
         column = column.strip()
-        fits = [t for t in topics if f"{column}.".startswith((f"{t}.", f"{t}["))]
+        fits = [t for t in topics if _under(column, t)]
         if not fits:
             raise InputError(_no_topic(path, bag, name, column, topics))
         topic = max(fits, key=len)
@@ -115,10 +115,15 @@ def _places(path: Path, bag: Bag, columns: Mapping[str, str]) -> dict[str, _Plac
     return out
 
 
+def _under(column: str, topic: str) -> bool:
+    """Whether a column names a topic, or something in its messages."""
+    return f"{column}.".startswith((f"{topic}.", f"{topic}["))
+
+
 def _no_topic(
     path: Path, bag: Bag, name: str, column: str, topics: Collection[str]
 ) -> str:
-    silent = [t for t in bag.topics if column.startswith(t) and t not in topics]
+    silent = [t for t in bag.topics if _under(column, t)]
     said = f"topic {silent[0]!r} holds no message" if silent else "no such topic"
     head, _, tail = column.rpartition("/")
     topic = f"{head}/{re.split(r'[.[]', tail)[0]}" if head or tail != column else column

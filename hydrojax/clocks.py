@@ -78,10 +78,10 @@ class Clock:
         error: half the 99 % interval of `drift`; inf where it cannot be told.
     """
 
-    coarse: int = 0
-    offset: float = 0.0
-    drift: float = 0.0
-    error: float = 0.0
+    coarse: int
+    offset: float
+    drift: float
+    error: float
 
 
 def clock(stamp: np.ndarray, received: np.ndarray, origin: int) -> Clock:

@@ -498,6 +498,7 @@ def test_what_is_no_bag_is_refused(tmp_path, short):
     silent = short | {"/load_cell": Topic(*(v[:0] for v in short["/load_cell"][:3]))}
     path = write(tmp_path, "sqlite3", silent)
     refusal(path, CHANNELS, "'/load_cell' holds no message")
+    refusal(path, renamed("F", "/load_cell_2.z"), "no such topic")
 
 
 def test_topics_without_common_time_are_refused(tmp_path, short):

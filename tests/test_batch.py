@@ -40,6 +40,8 @@ def fleet(folder: Path, logs: list[dict], **labels: list) -> Path:
     """A table of jobs whose logs say how they are to go; each its own log."""
     for i, words in enumerate(logs):
         (folder / f"log_{i}.csv").write_text(json.dumps(words))
+    for name in ("rig.toml", "check.csv"):
+        (folder / name).touch()
     names = [f"log_{i}.csv" for i in range(len(logs))]
     rows = {"rig": "rig.toml", "fit": names, "validate": "check.csv", **labels}
     pd.DataFrame(rows).to_csv(folder / "jobs.csv", index=False)
@@ -84,6 +86,12 @@ BAD_TABLES = {
         ("'verdict'", "rename"),
     ),
     "no row": ("rig,fit,validate\n", ("holds no job",)),
+    "blank lines": (
+        "rig,fit,validate\n\nr,a,b\n\nr,,b\n\n",
+        ("row 2 (line 5)", "fit"),
+    ),
+    "a cell too many": ("rig,fit,validate\nr,a,b,c\n", ("not a readable CSV",)),
+    "a column twice": ("rig,fit,validate,rig \nr,a,b,q\n", ("'rig' is there twice",)),
     "nothing": ("", ("jobs.csv", "CSV")),
 }
 
@@ -199,7 +207,6 @@ def test_a_result_depends_on_files_and_options_not_on_labels(tmp_path):
     assert pretended(table, out) == Ran(3, 0, 0, True)
     assert "cold" in pd.read_parquet(out / "fleet.parquet")
     (tmp_path / "rig.toml").write_text("name = 'other'")
-    running.key_of.__globals__["_content"].cache_clear()
     assert pretended(table, out).done == 3
     options = Options(command="identify")
     assert pretended(table, out, options=options).done == 3
@@ -232,7 +239,7 @@ def test_a_worker_that_has_grown_is_replaced(tmp_path):
     for most, workers in ((1, 3), (2**60, 1)):
         out = tmp_path / f"out_{most}"
         out.mkdir()
-        keys = [running.key_of(j, tmp_path, Options()) for j in jobs]
+        keys = running.keys_of(jobs, Options())
         tasks = running._tasks(jobs, keys, set(keys), Options(), out, PRETEND)
         for file in tmp_path.glob("*.calls"):
             file.unlink()

@@ -21,13 +21,16 @@ from .measured import Section
 
 GROUPS = ("loop", "replay", "identify", "trace", "scaling")
 ROOT = Path(__file__).parent.parent.parent
-SOURCES = ("hydrojax", "identify", "tune", "benchmarks/speed")
+PACKAGES = (
+    "jax", "jaxlib", "numpy", "scipy", "numba", "diffrax", "optimistix", "casadi",
+)  # fmt: skip
+SOURCES = ("hydrojax", "identify", "tune", "benchmarks/speed", "benchmarks/trace")
 
 
 def machine() -> dict[str, Any]:
     """What the figures depend on besides the code."""
     versions = {"Python": platform.python_version()}
-    for name in ("jax", "jaxlib", "numpy", "scipy", "numba", "diffrax", "casadi"):
+    for name in PACKAGES:
         try:
             versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
@@ -61,7 +64,7 @@ def code() -> str:
     seen = hashlib.sha256()
     for folder in SOURCES:
         for path in sorted((ROOT / folder).rglob("*")):
-            if path.suffix in (".py", ".c", ".h"):
+            if path.suffix in (".py", ".c", ".h", ".toml"):
                 seen.update(path.read_bytes())
     return seen.hexdigest()[:12]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from .logs import opened, problem, replayed
 from .loop import Build
-from .replay import peer, slopes
+from .replay import peer
 
 ENOUGH = 1e-6
 """A fit ends when a step lowers the cost by less than this share of it."""
@@ -83,7 +83,6 @@ def _functions(
     coordinates' scale, and where they start.
     """
     made, start = peer(folder, **which)
-    slope = slopes(made)
     b = problem(folder).batch
     measured, noise = np.asarray(b.windows.measured), np.asarray(b.noise)
     scale = np.abs(start)
@@ -92,7 +91,7 @@ def _functions(
         return ((measured - made.replay(scale * q)) / noise).ravel()
 
     def derivative(q: Vector) -> Vector:
-        J = slope(scale * q) * (-scale / noise[:, None])
+        J = made.jacobian(scale * q) * (-scale / noise[:, None])
         return J.reshape(-1, scale.size)
 
     return residual, derivative, scale, np.sign(start)

@@ -55,13 +55,11 @@ class _Judge:
     def __init__(self, children: Children, folder: str):
         self.children, self.folder = children, folder
         self.costs: dict[str, float] = {}
-        self.params: dict[str, Any] = {}
 
     def __call__(self, name: str, answer: Any) -> str:
         given = {"folder": self.folder, "params": answer["params"]}
         program = Program(f"cost of {name}", "fits", "fits:cost", given, "judge")
         self.costs[name] = self.children.prepare(program)["answer"]
-        self.params[name] = answer["params"]
         return ""
 
     def remarks(self) -> dict[str, str]:

@@ -32,6 +32,11 @@ WITHIN = {
 """How far a program's RMS errors of force may be from hydrojax's, relative."""
 
 
+def on(threads: int) -> str:
+    """So many threads, in a program's name."""
+    return f"{threads} thread{'s' * (threads > 1)}"
+
+
 # -- programs: each reads its data and returns what builds it --
 
 Build = Callable[[], Callable[[], Any]]
@@ -164,7 +169,7 @@ def programs(batch: int, samples: int, few: int) -> list[Program]:
     def compiled(name: str, real: str, lanes: bool) -> list[Program]:
         return [
             Program(
-                f"{name}, {n} thread{'s' * (n > 1)}", "default", "loop:c",
+                f"{name}, {on(n)}", "default", "loop:c",
                 {**size, "real": real, "lanes": lanes, "threads": n}, "C",
             )
             for n in dict.fromkeys((1, CORES))
@@ -198,8 +203,7 @@ def programs(batch: int, samples: int, few: int) -> list[Program]:
 
 def goals(batch: int) -> list[tuple[str, str, str, Goal | None]]:
     """Ratios of a batch: words, whose time, over whose, and what it must be."""
-    most = f"{CORES} thread{'s' * (CORES > 1)}"
-    lanes, scalar = f"{LANES}, {most}", f"{SCALAR}, {most}"
+    lanes, scalar = f"{LANES}, {on(CORES)}", f"{SCALAR}, {on(CORES)}"
     if batch == 1:
         return [
             ("hydrojax over scalar C", OWN, f"{SCALAR}, 1 thread", Goal(1.4)),
@@ -219,7 +223,7 @@ def goals(batch: int) -> list[tuple[str, str, str, Goal | None]]:
     ahead = Goal(4.5, most=False)
     return [
         ("hydrojax over C lanes", OWN, lanes, Goal(1.15)),
-        ("f32: hydrojax over C lanes", SINGLE, f"C lanes f32, {most}", Goal(1.3)),
+        ("f32: hydrojax over C lanes", SINGLE, f"C lanes f32, {on(CORES)}", Goal(1.3)),
         ("scalar C over hydrojax", scalar, OWN, ahead),
         ("numba over hydrojax", "numba", OWN, ahead),
         ("default flags over hydrojax", DEFAULT, OWN,
@@ -260,7 +264,7 @@ def _many_runs(children: Children, section: Section, quick: bool) -> None:
     """The closed-loop runs of a sweep in one call."""
     runs, seconds = (512, 1.0) if quick else (RUNS, RUN_SECONDS)
     called = f"{runs} runs of {seconds:g} s"
-    wanted = (OWN, f"{LANES}, {CORES} threads", f"{LANES}, 1 thread")
+    wanted = (OWN, f"{LANES}, {on(CORES)}", f"{LANES}, {on(1)}")
     listed = [p for p in programs(runs, round(seconds / H), 1) if p.name in wanted]
     per = measure(
         children, section, called, listed, 3 if quick else 5, agrees(WITHIN, OWN)

@@ -208,11 +208,7 @@ void run_jacobian(
 ) {
     size_t size = (size_t)g->ticks * g->windows;
     Room at = room(g, 0);
-    friction_memory(g, n, at);
-#pragma omp parallel for schedule(static) num_threads(g->threads)
-    for (int first = 0; first < g->windows; first += LANES)
-        pressures_of(g, n, first, base);
-    forces(g, n, at, base);
+    run_replay(g, n, base);
 #pragma omp parallel for schedule(dynamic) num_threads(g->threads)
     for (int j = 0; j < count; j++) {
         REAL *here = out + 3 * size * j;

@@ -30,7 +30,7 @@ class _Log(ctypes.Structure):
 
 @dataclass(frozen=True)
 class Compiled:
-    """A log laid out for C; `replay` and `jacobian_fd` run on it."""
+    """A log laid out for C; `replay` and `jacobian` run on it."""
 
     library: ctypes.CDLL
     log: _Log
@@ -39,7 +39,7 @@ class Compiled:
     given: Replay
     start: Numbers
     base: np.ndarray
-    jacobian: np.ndarray
+    slopes: np.ndarray
 
     def _numbers(self, params: np.ndarray) -> np.ndarray:
         n = numbers_at(self.start, params)
@@ -62,7 +62,7 @@ class Compiled:
         self.library.run_replay(ctypes.byref(self.log), _at(numbers), _at(self.base))
         return self._scored(self.base)
 
-    def jacobian_fd(self, params: ArrayLike) -> np.ndarray:
+    def jacobian(self, params: ArrayLike) -> np.ndarray:
         """Its derivative by forward differences, [W, T, 3, 16]; a view likewise.
 
         Threads take parameters. What a parameter does not change is not run again.
@@ -72,9 +72,9 @@ class Compiled:
         stage = np.array(STAGES, np.int32)
         self.library.run_jacobian(
             ctypes.byref(self.log), _at(numbers), _at(stage), _at(step), len(NAMES),
-            _at(self.base), _at(self.jacobian),
+            _at(self.base), _at(self.slopes),
         )  # fmt: skip
-        return self._scored(self.jacobian)
+        return self._scored(self.slopes)
 
 
 def _at(a: np.ndarray) -> ctypes.c_void_p:
@@ -117,6 +117,6 @@ def prepare(given: Replay, lanes: int = 1, threads: int | None = None) -> Compil
     arrays += [np.empty(2 * c.room_for(ctypes.byref(log)))]
     log.room = arrays[-1].ctypes.data
     base = np.empty((3, ticks, padded))
-    jacobian = np.empty((len(NAMES), *base.shape))
+    slopes = np.empty((len(NAMES), *base.shape))
     order = names(c.replay_numbers())
-    return Compiled(c, log, arrays, order, given, start(given), base, jacobian)
+    return Compiled(c, log, arrays, order, given, start(given), base, slopes)

@@ -107,13 +107,13 @@ def _jacobian(p, lag, window, motion, first, z, speed, base, stage, step, out):
 
 @dataclass(frozen=True)
 class Compiled:
-    """A log laid out for numba; `replay` and `jacobian_fd` run on it."""
+    """A log laid out for numba; `replay` and `jacobian` run on it."""
 
     given: Replay
     start: Numbers
     log: tuple
     base: np.ndarray
-    jacobian: np.ndarray
+    slopes: np.ndarray
     threads: int
 
     def _scored(self, out: np.ndarray) -> np.ndarray:
@@ -130,12 +130,12 @@ class Compiled:
         self._run(np.asarray(params, float)[None])
         return self._scored(self.base)
 
-    def jacobian_fd(self, params: ArrayLike) -> np.ndarray:
+    def jacobian(self, params: ArrayLike) -> np.ndarray:
         """Its derivative by forward differences, [W, T, 3, 16]; a buffer's view."""
         sets, step = moved(np.asarray(params, float))
         p, stage = self._run(sets), np.array(STAGES)
-        _jacobian(p, *self.log, self.base, stage, step, self.jacobian)
-        return np.moveaxis(self._scored(self.jacobian), 0, -1)
+        _jacobian(p, *self.log, self.base, stage, step, self.slopes)
+        return np.moveaxis(self._scored(self.slopes), 0, -1)
 
 
 def prepare(given: Replay, threads: int | None = None) -> Compiled:

@@ -29,7 +29,8 @@ def client(address: str) -> Iterator[Client]:
     """A connection to a scheduler, or to N workers made here for `local:N`.
 
     Raises:
-        InputError: no such address, nobody there, or dask.distributed is missing.
+        InputError: no such address, no scheduler or no worker there, or
+            dask.distributed is missing.
     """
     try:
         import distributed
@@ -69,6 +70,11 @@ def client(address: str) -> Iterator[Client]:
                 "dask scheduler, or write local:2"
             ) from error
         with found:
+            if not found.nthreads():
+                raise InputError(
+                    f"--cluster {address}: the scheduler has no worker; start some: "
+                    f"dask worker {address}"
+                )
             yield found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,7 +67,8 @@ class Jobs:
     Attributes:
         source: the table, or the folder of the jobs' folders.
         folder: where relative paths start.
-        table: text columns `OWN`, then the labels: numbers, or text.
+        table: text columns `OWN`, then the labels: numbers, or text. The index counts
+            the rows of the file, blank ones too.
     """
 
     source: Path
@@ -138,17 +140,15 @@ def _table(path: Path) -> pd.DataFrame:
     frame: Any
     kind = "CSV" if ending == ".csv" else "Parquet"
     try:
-        if kind == "CSV":
-            frame = pd.read_csv(
-                path, dtype=str, keep_default_na=False, encoding="utf-8-sig",
-                skipinitialspace=True, index_col=False,
-            )  # fmt: skip
-        else:
-            frame = pd.read_parquet(path)
+        frame = _csv(path) if kind == "CSV" else pd.read_parquet(path)
     except Exception as error:  # every library has its own kinds for a broken file
         mend = f"save it again as {kind}"
         raise unreadable(path, f"{kind} file", error, mend) from error
-    frame.columns = [str(c).strip() for c in frame.columns]
+    names = [str(c).strip() for c in frame.columns]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise InputError(f"{path}: column {name!r} is there twice; rename one")
+    frame.columns = names
     for name in ("rig", "fit", "validate"):
         if name not in frame:
             raise InputError(
@@ -167,6 +167,18 @@ def _table(path: Path) -> pd.DataFrame:
     return pd.concat([text, frame[labels].apply(_typed)], axis=1)
 
 
+def _csv(path: Path) -> pd.DataFrame:
+    """Text cells of the rows that are not blank; the index still counts those."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)  # cells lost
+        frame = pd.read_csv(
+            path, dtype=str, keep_default_na=False, encoding="utf-8-sig",
+            skipinitialspace=True, index_col=False, skip_blank_lines=False,
+        )  # fmt: skip
+    frame = frame.fillna("")
+    return frame.loc[frame.ne("").any(axis=1)]
+
+
 def _typed(column: pd.Series) -> pd.Series:
     """Numbers, where every cell that is filled is one; else text."""
     text: Any = column.astype(str).str.strip().where(column.notna(), "")
@@ -182,9 +194,10 @@ def _check(jobs: Jobs, command: Command) -> None:
     """Raise on the first row that will not do."""
 
     def where(i: int) -> str:
-        line = f" (line {i + 2})" if jobs.source.suffix.lower() == ".csv" else ""
-        here = f"row {i + 1}{line}"
-        return jobs.table["job"].iloc[i] if jobs.source.is_dir() else here
+        if jobs.source.is_dir():
+            return jobs.table["job"].iloc[i]
+        csv = jobs.source.suffix.lower() == ".csv"
+        return f"row {i + 1}" + (f" (line {jobs.table.index[i] + 2})" if csv else "")
 
     rows = iter(jobs)
     for i in range(len(jobs)):

@@ -126,6 +126,8 @@ class _Lane(threading.Thread):
         """The worker's answer; "" if it died."""
         if self.process is None:
             self.process = self._begin()
+            if self.stopped:  # `stop` may have come before there was one to end
+                return ""
         pipe, answers = self.process.stdin, self.process.stdout
         assert pipe is not None and answers is not None
         try:

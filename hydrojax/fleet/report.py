@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from .. import controller, units
 from ..files import write_all
 from ..identify.figures import png
 from ..identify.naming import p_text, quantity, words
+from ..identify.report import Picture
 from ..rewrite import text
 from . import pictures, summary
 from .pictures import CROWD, ROW_NUMBER
@@ -27,21 +27,6 @@ LISTED = 100
 """Lines of a list on the page; the table has all."""
 LABELS = 6
 """Labels that have a picture."""
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A picture on the page."""
-
-    name: str
-    png: bytes
-    alt: str
-    caption: str
-
-    @property
-    def data(self) -> str:
-        """The address that holds the picture itself."""
-        return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
 
 
 @dataclass(frozen=True)
@@ -116,14 +101,14 @@ def controller_lines(bounds: Bounds) -> list[str]:
     return out
 
 
-def draw(store: Store, seen: Seen) -> list[Shown]:
+def draw(store: Store, seen: Seen) -> list[Picture]:
     """The pictures that there is something to show in."""
     fleet = Fleet(store.folder / "fleet.parquet")
     out = []
 
     def show(name: str, figure: Figure | None, alt: str, caption: str) -> None:
         if figure is not None:
-            out.append(Shown(name, png(figure), alt, caption))
+            out.append(Picture(name, png(figure), alt, caption))
 
     said = (
         "Every fit that tells the parameter, with its 95 % interval; orange: a robust "
@@ -159,7 +144,7 @@ def draw(store: Store, seen: Seen) -> list[Shown]:
     return out
 
 
-def page(seen: Seen, shown: Sequence[Shown], title: str) -> str:
+def page(seen: Seen, shown: Sequence[Picture], title: str) -> str:
     """fleet.html, with its pictures inside."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
+from ..errors import InputError
 from . import cluster as clusters
 from . import local
 from .jobs import Jobs, read_jobs
 from .store import Store, merge, merged
-from .work import SOLVER, Done, Options, Task, key_of, located, lost, perform
+from .work import SOLVER, Done, Options, Task, keys_of, located, lost, perform
 
 Tell = Callable[[int, int], None]
 """Hears of done jobs, of how many."""
@@ -64,17 +65,18 @@ def run_fleet(
         report: whether fleet.html and its pictures are made too.
 
     Raises:
-        InputError: a table or an address that will not do.
+        InputError: a table or an address that will not do, or results that workers
+            wrote and that are not here.
         Stopped: Ctrl-C.
     """
     options = options or Options()
     jobs = read_jobs(source, options.command)
     store = Store(out)
-    keys = [key_of(job, jobs.folder, options) for job in jobs]
+    keys = keys_of(jobs, options)
     mark = _mark(jobs, keys)
     store.clear()
     done = 0
-    while True:
+    for again in (False, True):
         have = store.done()
         left = set(keys) - have
         if left:
@@ -82,15 +84,24 @@ def run_fleet(
             done += _work(tasks, len(left), len(set(keys)), out, workers, cluster, tell)
         elif merged(store) == mark and ((out / "fleet.html").exists() or not report):
             return Ran(len(jobs), done, _failures(out), False)
-        unread, failed = merge(store, jobs, keys, mark)
+        (out / "fleet.html").unlink(missing_ok=True)  # of another table
+        # A table with what is tried again is not the last: it has no mark.
+        last = set(keys) <= store.done()
+        unread, failed = merge(store, jobs, keys, mark if last else "")
         if not unread:
             if report:
                 from .report import write_report  # it draws: only where it is wanted
 
                 write_report(store, keys, jobs.source.name)
             return Ran(len(jobs), done, failed, True)
+        if again:
+            break
         for key in unread:  # a power cut can leave a file empty
             store.drop(key)
+    raise InputError(
+        f"{out}: {len(unread)} results are not here after their jobs were done; give "
+        "all workers this folder under the same path"
+    )
 
 
 def _tasks(

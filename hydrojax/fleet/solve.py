@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ def solve(job: Job, options: Options) -> dict[str, Any]:
     """
     set_up_jax(user_cache())
     for path in options.effects:
-        _own(path)
+        _own(path, Path(path).read_bytes())
     from ..identify import run
 
     case = run.open_case(job.rig, job.fit, job.validate_, options.horizon)
@@ -45,8 +46,11 @@ def solve(job: Job, options: Options) -> dict[str, Any]:
 
 
 @cache
-def _own(path: str) -> None:
-    """Take a user's own effects into the vocabulary, once in a process."""
+def _own(path: str, content: bytes) -> None:
+    """Take a user's own effects into the vocabulary, once while the file is the same.
+
+    Effects that are read again are other classes, for which all is compiled again.
+    """
     load_effects(path)
 
 
@@ -59,7 +63,7 @@ def row_of(outcome: Any, ranges: Mapping[str, tuple[float, float]]) -> dict[str,
     every = {n: p for n, p in (outcome.parameters | own).items() if p.free}
     parameters = {
         name: {
-            "value": p.value,
+            "value": _finite(p.value),
             "std": _finite(p.std),
             "low": _finite(p.interval[0]) if p.interval else None,
             "high": _finite(p.interval[1]) if p.interval else None,

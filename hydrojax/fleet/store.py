@@ -134,13 +134,14 @@ def merge(
     if unread:
         return unread, failed
     schema = _schema(jobs, columns, mark)
-    _write(store.folder / "fleet.parquet", schema, _rows(store, jobs, keys, columns))
+    # fleet.parquet is the last, since its mark says that both are there.
     _write(store.folder / "seconds.parquet", SECONDS, _seconds(store, jobs, keys))
+    _write(store.folder / "fleet.parquet", schema, _rows(store, jobs, keys, columns))
     return [], failed
 
 
 def merged(store: Store) -> str:
-    """The mark of the table that stands there; "" of none."""
+    """The mark of the table that stands there; "" of none, and of one without."""
     try:
         found = pq.read_schema(store.folder / "fleet.parquet").metadata or {}
     except (OSError, pa.ArrowInvalid):

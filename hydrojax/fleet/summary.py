@@ -102,12 +102,13 @@ class Fleet:
 
 
 def label(fleet: Fleet, name: str) -> pd.Series:
-    """A label's values: numbers, times, or text, whichever all that are filled are."""
+    """A label's values: numbers, times (UTC), or text: what all that are filled are."""
     column: Any = fleet.columns(name)[name]
     if column.dtype.kind == "f" or not column.notna().any():
         return column
     try:
-        return pd.to_datetime(column, format="ISO8601")
+        times = pd.to_datetime(column, format="ISO8601", utc=True)
+        return times.dt.tz_localize(None)
     except (ValueError, TypeError):
         return column
 

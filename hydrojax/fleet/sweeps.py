@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,7 +20,8 @@ from .cluster import client, share_out
 class Unit:
     """One chunk: the words that make the plan, with whole paths, and which it is."""
 
-    words: bytes  # pickled, so that a worker can tell the same plan by them
+    sweep: str  # by which a worker knows the plan again
+    words: bytes  # pickled
     effects: tuple[str, ...]
     out: str
     method: str
@@ -63,20 +65,21 @@ def share_sweep(
         if tell:
             tell(done, len(left))
 
-    units = (Unit(whole, own, str(out.absolute()), *each) for each in left)
+    own_name = uuid.uuid4().hex  # the same words may come to mean another rig
+    units = (Unit(own_name, whole, own, str(out.absolute()), *each) for each in left)
     with client(address) as found:
         share_out(units, work_out, found, hear, lambda unit, _: unit)
 
 
 def work_out(unit: Unit) -> Unit:
     """Work out a chunk and keep it; what the worker has compiled serves the next."""
-    _worker(unit.words, unit.effects, unit.out)(unit.method, unit.number)
+    _worker(unit.sweep, unit.words, unit.effects, unit.out)(unit.method, unit.number)
     return unit
 
 
 @lru_cache(maxsize=1)
 def _worker(
-    words: bytes, effects: tuple[str, ...], out: str
+    _sweep: str, words: bytes, effects: tuple[str, ...], out: str
 ) -> Callable[[str, int], None]:
     set_up_jax(user_cache(), LOOPS)
     for path in effects:

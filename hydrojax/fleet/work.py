@@ -8,6 +8,7 @@ import os
 import stat
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from .. import __version__
 from ..errors import InputError
-from .jobs import Command, Job
+from .jobs import Command, Job, Jobs
 from .store import Store
 
 FORMAT = "hydrojax-job/1"
@@ -75,7 +76,14 @@ def located(job: Job, folder: Path) -> Job:
     )
 
 
-def key_of(job: Job, folder: Path, options: Options) -> str:
+def keys_of(jobs: Jobs, options: Options) -> list[str]:
+    """Every job's key, of the files as they are now."""
+    _how.cache_clear()
+    _content.cache_clear()
+    return [_key(job, jobs.folder, options) for job in jobs]
+
+
+def _key(job: Job, folder: Path, options: Options) -> str:
     """What a job's result depends on, in 24 letters.
 
     The rig's and the own effects' text, each log's path, size and time of change, the
@@ -124,8 +132,9 @@ def _stamp(path: str) -> list[int]:
 def perform(task: Task) -> Done:
     """Do a job and store what came of it; a job that is done already is left alone.
 
-    A job that fails fails alone: its line is stored. `InputError` is final; what may
-    pass (a disk, memory, a fault in the program) is tried again by the next run.
+    A job that fails fails alone: its line is stored. `InputError` is final, unless a
+    file is not seen from here; what may pass (a disk, memory, a fault in the program)
+    is tried again by the next run.
     """
     store = Store(Path(task.out))
     if store.has(task.key):
@@ -139,6 +148,8 @@ def perform(task: Task) -> Done:
         failed = ""
     except InputError as error:
         failed = str(error)
+        files = (task.job.rig, *task.job.fit, *task.job.validate_)
+        final = all(map(os.path.exists, files))
     except Exception as error:
         failed = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
         final = False
@@ -156,10 +167,15 @@ def lost(task: Task, why: str) -> Done:
 
 
 def memory() -> int:
-    """Most bytes that this process has held; 0 where the system does not say."""
+    """Most bytes that this process has held; 0 where the system does not say.
+
+    On Linux ru_maxrss begins with what the parent has held, VmHWM does not.
+    """
+    with suppress(OSError):
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return next((1024 * int(s.split()[1]) for s in lines if "VmHWM" in s), 0)
     try:
         import resource
     except ImportError:
         return 0
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most if os.uname().sysname == "Darwin" else most * 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # bytes on macOS

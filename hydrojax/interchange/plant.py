@@ -18,10 +18,8 @@ from jaxtyping import Array
 from ..channels import ChannelSkew, ValveDelay
 from ..friction import Sliding
 from ..rig import Rig
+from ..simulation import PARTS
 from ..tick import State, Tick
-
-SUBSTEPS = 4
-"""Of a tick, in which the pressures are solved: as many as the closed loop's parts."""
 
 SAME = 1e-6
 """Relative difference up to which two lengths of a step are the same."""
@@ -59,8 +57,11 @@ def ticks_of(step: float, period: float) -> tuple[int, float]:
 
 
 def tick_from(drive: Drive, t: Array, since: Array, h: Array) -> Tick:
-    """The tick that begins `since` seconds into a step, at time `t`."""
-    fine = since + h * jnp.linspace(0.0, 1.0, 2 * SUBSTEPS + 1)
+    """The tick that begins `since` seconds into a step, at time `t`.
+
+    The pressures are solved in as many parts of it as in the closed loop.
+    """
+    fine = since + h * jnp.linspace(0.0, 1.0, 2 * PARTS + 1)
     x = drive.x + drive.v * fine + drive.a / 2 * fine**2
     both = jnp.ones(2)
     return Tick(
@@ -69,7 +70,7 @@ def tick_from(drive: Drive, t: Array, since: Array, h: Array) -> Tick:
         P_s=drive.P_s * both,
         P_r=drive.P_r * both,
         x=x,
-        dx=jnp.diff(x[:: 2 * SUBSTEPS // 4]),
+        dx=jnp.diff(x[:: 2 * PARTS // 4]),
         v=drive.v + drive.a * (since + h),
         a=jnp.asarray(drive.a, float),
         t=t + h,
