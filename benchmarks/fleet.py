@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import os
 import re
 import shutil
 import subprocess
@@ -170,21 +171,28 @@ def kills(table: Path, out: Path, whole: Path, count: int) -> None:
     again = 0
     for at in np.sort(rng.choice(np.arange(1, jobs), count, replace=False)):
         process = start(table, out)
-        while len(list(out.glob("jobs/*/*.json"))) < at and process.poll() is None:
+        while len(_results(out)) < at and process.poll() is None:
             time.sleep(0.05)
         time.sleep(float(rng.uniform(0.0, 3.0)))
         process.kill()
         process.wait()
         time.sleep(1.0)  # its workers hear that nobody asks any more
-        files = {p: _mark(p) for p in out.glob("jobs/*/*.json")}
+        files = {p: _mark(p) for p in _results(out)}
         again += sum(files.get(p) != mark for p, mark in kept.items())
         kept = files
         print(f"killed: {len(kept)} of {jobs} results stand", flush=True)
     start(table, out).wait()
-    files = {p: _mark(p) for p in out.glob("jobs/*/*.json")}
+    files = {p: _mark(p) for p in _results(out)}
     again += sum(files.get(p) != mark for p, mark in kept.items())
     same = "the same bytes" if digest(out) == digest(whole) else "ANOTHER TABLE"
     print(f"{again} results written twice; {same}: sha256 {digest(out)}")
+
+
+def _results(out: Path) -> list[Path]:
+    """Those that stand; drafts come and go meanwhile."""
+    found = os.walk(out / "jobs")  # a folder that has gone is passed over
+    return [Path(f, name) for f, _, names in found for name in names
+            if name.endswith(".json")]  # fmt: skip
 
 
 def _mark(path: Path) -> tuple[int, int]:

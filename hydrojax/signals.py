@@ -38,6 +38,9 @@ _MAY_REST = ("v", "P_s", "P_r", "F_d")  # a constant here is no fault of the log
 _LEAST_ROWS = 50
 
 
+_WILD = 1e15  # SI; no signal comes near it
+
+
 _GAP = 2.5  # a step this many times the median is a gap
 
 
@@ -208,7 +211,15 @@ def _si(
     if name == "u" and not units.fits(unit, want):
         raise InputError(f"{where}: unit {unit!r} is neither V nor 1; give u in either")
     values = _numbers(file, where, column.values)
-    return units.to_si(values, unit, want, where), want
+    with np.errstate(over="ignore"):
+        found = units.to_si(values, unit, want, where)
+    wild = np.flatnonzero(np.abs(found) > _WILD)
+    if len(wild):
+        raise InputError(
+            f"{where}, row {wild[0] + 1}: {values[wild[0]]:g} {unit} is beyond any "
+            "sensor; mend the row or the unit, or leave the cell empty"
+        )
+    return found, want
 
 
 def _numbers(file: File, where: str, values: Any) -> np.ndarray:

@@ -19,6 +19,13 @@ _QUANTITY = re.compile(
 )
 
 
+_TOWER = re.compile(
+    r"(?:\*\*|\^)[\s(+-]*[\d.]+[\s)]*(?:\*\*|\^)|(?:\*\*|\^)[\s(+-]*\d\d"
+)
+"""Powers of powers, and powers of more than one digit: no unit has them, and pint would
+work them out, for hours."""
+
+
 class _UnitError(ValueError):
     """What is wrong with a unit, in words; the public functions say where."""
 
@@ -38,21 +45,24 @@ def _factor(unit: str, want: str) -> float:
     if text.startswith("/"):
         text = f"1{text}"
     mend = "give it as a plain number" if want == "1" else f"give it in {want} or so"
+    shown = repr(unit if len(unit) < 40 else f"{unit[:40]}…")
+    if _TOWER.search(text):
+        raise _UnitError(f"unknown unit {shown}; {mend}")
     try:
         parsed = registry.parse_units(text)
     except Exception as err:  # pint raises a dozen kinds on text that is no unit
-        raise _UnitError(f"unknown unit {unit!r}; {mend}") from err
+        raise _UnitError(f"unknown unit {shown}; {mend}") from err
     if "rad" in want and "hertz" in str(parsed):
         raise _UnitError(
-            f"{unit!r} counts cycles, not radians; multiply by 2*pi and write {want}"
+            f"{shown} counts cycles, not radians; multiply by 2*pi and write {want}"
         )
     try:
         zero = registry.Quantity(0.0, parsed).to(want).magnitude
         one = registry.Quantity(1.0, parsed).to(want).magnitude
     except Exception as err:
-        raise _UnitError(f"unit {unit!r} does not fit; {mend}") from err
+        raise _UnitError(f"unit {shown} does not fit; {mend}") from err
     if zero != 0.0:  # decibel, degC: no factor makes them SI
-        raise _UnitError(f"unit {unit!r} has no true zero; {mend}")
+        raise _UnitError(f"unit {shown} has no true zero; {mend}")
     return float(one)
 
 

@@ -43,6 +43,9 @@ SMOOTH = 15
 some 40 Hz on a log at 1 kHz."""
 
 
+SLOWEST = 0.05
+"""s between rows up to which a command is replayed: a chamber settles in far less."""
+
 MOST_TICKS = 80_000
 """Ticks that a fit or a check takes in: more only cost time."""
 
@@ -151,6 +154,11 @@ def prepare(
     if not rows:
         raise InputError(f"{logs[0].name}: no stretch without gaps has over 20 rows")
     h = float(np.median(np.concatenate([np.diff(logs[i].time[r]) for i, r in rows])))
+    if driven_by == "u" and h > SLOWEST:
+        raise InputError(
+            f"{logs[0].name}: a row every {h:.3g} s is too slow to replay what the "
+            f"valve does: log at {1 / SLOWEST:.0f} Hz or more, or take u out of the log"
+        )
     T = max(int(round(horizon / h)), 8)
     pre, lead = (PRE, LEAD) if driven_by == "u" else (1, min(LEAD, int(0.3 / h)))
     n = max(1, int(np.ceil(h / 1.5e-3))) if driven_by == "u" else 1

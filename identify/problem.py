@@ -47,6 +47,31 @@ class Free:
     prior: float | None = None
 
 
+@dataclass(frozen=True)
+class Known:
+    """What other logs tell of parameters: their values there, SI, and the curvature
+    [k, k] of that fit, in units of the scales, priors counted.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    curvature: np.ndarray
+
+    def rows(
+        self, columns: Sequence[str | None], at: np.ndarray, scale: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residual rows [k, k] by column, and their value with the columns `at`."""
+        sizes, vectors = np.linalg.eigh(self.curvature)
+        root = (vectors * np.sqrt(np.maximum(sizes, 0.0))).T
+        slope = np.zeros((len(columns), len(columns)))
+        away = np.zeros(len(columns))
+        for j, name in enumerate(self.names):
+            i = columns.index(name)
+            slope[: len(root), i] = root[:, j]
+            away[i] = (at[i] - self.values[j]) / scale[i]
+        return slope, slope @ away
+
+
 def free_parameters(spec: RigSpec) -> dict[str, Free]:
     """What a rig file leaves to be found, effects it declares included."""
     entries = dict(spec.parameters)
@@ -160,7 +185,7 @@ class Problem:
     `declared` counts the free parameters of the rig file, hydraulic and other.
 
     `symmetric` holds k_cp and k_cn equal, for logs that do not tell a difference of
-    the two from an offset k_0.
+    the two from an offset k_0. `known` is what other logs tell, in place of priors.
     """
 
     model: Model
@@ -169,6 +194,7 @@ class Problem:
     declared: tuple[int, int]
     simulate: bool
     symmetric: bool = False
+    known: Known | None = None
 
     @classmethod
     def of(cls, rig: Rig, free: Mapping[str, Free], data: Data) -> Problem:
@@ -245,6 +271,8 @@ class Problem:
             known = self.free[name].prior if name else None
             slope[i, i] = scale[i] / known if known else 0.0
             value.append((at[i] - self.free[name].start) / known if known else 0.0)
+        if self.known is not None:
+            slope[:-1], value = self.known.rows(columns, at, scale)
         pair = [columns.index(n) for n in COULOMB if n in columns]
         difference = 0.0
         if self.symmetric and len(pair) == 2:

@@ -165,9 +165,13 @@ def _problems(
 
 
 def _fit_base(
-    problem: Problem, free: tuple[str, ...], starts: int, tell: Tell
+    problem: Problem, free: tuple[str, ...], starts: int, tell: Tell, path: str
 ) -> tuple[Problem, np.ndarray, Problem, Point]:
-    """Fit the declared model: where its pressures stood, and where all of it does."""
+    """Fit the declared model: where its pressures stood, and where all of it does.
+
+    Raises:
+        InputError: values of the rig file at `path` that have no finite answer.
+    """
     values = problem.initial_values()
     if starts > 1:
         tell(f"{starts} starts on every few windows")
@@ -176,6 +180,11 @@ def _fit_base(
     if problem.sees_pressures and problem.side(free, True):
         problem, values = fit_pressures(problem, values, free)
     done, point = fit_force(problem, values, free)
+    if not np.isfinite(done.batch.P_0).all():
+        raise InputError(
+            f"{path}: with the values under [parameters] and [geometry] the model has "
+            "no finite answer to these logs; look for one that no rig has"
+        )
     return problem, values, done, point
 
 
@@ -191,7 +200,7 @@ def fit_case(case: Case, starts: int = 4, tell: Tell = lambda _: None) -> Tracin
             f"{case.spec.path}: nothing to identify: give at least one parameter a "
             'range, as in beta = { start = "8e8 Pa", range = ["1e8 Pa", "3e9 Pa"] }'
         )
-    *_, problem, point = _fit_base(problem, free, starts, tell)
+    *_, problem, point = _fit_base(problem, free, starts, tell, case.spec.path)
     return Tracing(problem, check, {}, free, point, 0.02, 0.01, tell)
 
 
@@ -232,7 +241,9 @@ def trace_case(
             pool.submit(check.errors_at, values),
             pool.submit(problem.sums_at, values),
         ]
-        early, values, done, point = _fit_base(problem, free, starts, tell)
+        early, values, done, point = _fit_base(
+            problem, free, starts, tell, case.spec.path
+        )
         for job in ahead:
             job.result()
     start = Tracing(

@@ -27,6 +27,7 @@ from .prepare import Data
 from .score import family
 from .trace import AT_NOISE, Tracing, status
 from .uncertainty import Belief
+from .unshown import unshown
 
 if TYPE_CHECKING:
     from .run import Case
@@ -64,6 +65,7 @@ def summarise(
         if ch.after > AT_NOISE * ch.noise
     )
     verdict = "unknown" if left else "explained" if state.added else "nothing missing"
+    needed = unshown(state, belief.vague) if left and case.held_out else ()
     effects = _effects(case, state, belief, (errors[0], errors[1]))
     return Outcome(
         command=command,
@@ -71,7 +73,7 @@ def summarise(
         fit_logs=tuple(log.name for log in case.fit_logs),
         validate_logs=tuple(log.name for log in case.check_logs),
         verdict=verdict,
-        sentence=_sentence(command, verdict, effects, left, case.held_out),
+        sentence=_sentence(command, verdict, effects, left, case.held_out, needed),
         parameters=_parameters(case, state, belief),
         channels=channels,
         effects=effects,
@@ -227,6 +229,7 @@ def _sentence(
     effects: tuple[Effect, ...],
     left: tuple[Unexplained, ...],
     held_out: bool,
+    needed: tuple[str, ...],
 ) -> str:
     names = " and ".join(e.name for e in effects)
     where = "validation" if held_out else "fitted"
@@ -240,6 +243,13 @@ def _sentence(
     channels = " and ".join(u.channel for u in left)
     start = f"{names} was found and added, but " if names else ""
     rest = "; ".join(u.says for u in left)
+    if needed:
+        return (
+            f"{start}{channels} cannot be judged: the validation logs depend on "
+            f"{' and '.join(needed)}, which the fitted logs leave open. With values "
+            "that suit both, every channel of all logs is at its noise; fit a log that "
+            "moves as the validation logs do."
+        )
     if command == "identify":
         return f"The declared model does not explain {channels}: {rest}. Try trace."
     return f"{start}no effect known here explains what is left in {channels}: {rest}."

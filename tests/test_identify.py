@@ -25,6 +25,7 @@ from hydrojax.identify.problem import Problem, free_parameters
 from hydrojax.identify.solve import minimise
 from hydrojax.identify.uncertainty import believe
 from scipy import optimize
+from scipy.interpolate import CubicSpline
 
 from hydrojax.build import load_rig, make_rig
 from hydrojax.replay import friction_memory
@@ -120,6 +121,34 @@ def test_short_logs_are_no_reason_to_miss_the_noise(recorded):
 
 
 # -- ranges hold --
+
+
+def test_what_the_fitted_logs_do_not_show_is_told_from_what_is_missing(
+    recorded, tmp_path, monkeypatch
+):
+    """A log that only goes up fits, and fails on one that goes both ways."""
+
+    def up(rng, t):
+        rock = 2e-4 * np.sin(5.7 * t) + 2e-5 * np.sin(44.0 * t)
+        return CubicSpline(t, -0.012 + 0.02 * t / t[-1] + rock)
+
+    folder = recorded(5)
+    rig = generator.draw_rig(5)
+    with monkeypatch.context() as only_here:
+        only_here.setattr(generator, "motion", up)
+        log = generator.record(rig, 5000, 6.0)
+    generator.write_log(tmp_path / "up.csv", log)
+    both_ways = folder / "validate.csv"
+    case = run.open_case(folder / "rig.toml", [tmp_path / "up.csv"], [both_ways])
+    found = run.identify(case, starts=1)
+    assert found.verdict == "unknown"
+    assert "depend on c_n2 and c_p1, which the fitted logs leave open" in found.sentence
+    wrong = generator.record(rig, 5002, 6.0, {"internal_leakage": {"c_il": 1e-12}})
+    generator.write_log(tmp_path / "leaks.csv", wrong)
+    fit = [folder / "fit_1.csv", folder / "fit_2.csv"]
+    case = run.open_case(folder / "rig.toml", fit, [tmp_path / "leaks.csv"])
+    found = run.identify(case, starts=1)
+    assert found.verdict == "unknown" and "cannot be judged" not in found.sentence
 
 
 def test_a_range_without_the_truth_holds_the_estimate_at_its_end(recorded, tmp_path):

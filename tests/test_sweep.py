@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 
 import numpy as np
@@ -110,6 +112,37 @@ def test_chunks_change_nothing(setting, known):
     for name, table in whole.data_vars.items():
         scale = float(np.nanmax(np.abs(table))) or 1.0
         np.testing.assert_allclose(parts[name], table, rtol=1e-12, atol=1e-12 * scale)
+
+
+ON_TWO = """
+import sys
+from pathlib import Path
+import jax
+from hydrojax.backend import set_up_jax
+set_up_jax(Path(sys.argv[1]))
+from tests import test_sweep as t
+setting = t.open_setting(t.SPEC)
+known = t.quantities(t.SPEC, setting)
+plan = t.plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine"))
+assert jax.local_device_count() == 2 and t.sweep.chunk_size(plan, "multisine") == 6
+t.sweep.run(plan, Path(sys.argv[2]))
+"""
+
+
+def test_devices_share_a_sweep_and_change_nothing(setting, known, tmp_path, cache_home):
+    """An odd number of cells on two devices of the processor."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    two = f"{flags} --xla_force_host_platform_device_count=2"
+    subprocess.run(
+        [sys.executable, "-c", ON_TWO, cache_home / "hydrojax", tmp_path],
+        env=os.environ | {"XLA_FLAGS": two}, check=True, timeout=300,
+    )  # fmt: skip
+    shared = xr.load_dataset(tmp_path / "sweep.nc")
+    alone = sweep.run(plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine")))
+    assert shared.data_vars.keys() == alone.data_vars.keys()
+    for name, table in alone.data_vars.items():
+        scale = float(np.nanmax(np.abs(table))) or 1.0
+        np.testing.assert_allclose(shared[name], table, rtol=1e-12, atol=1e-12 * scale)
 
 
 def test_other_values_compile_nothing(setting, known, compiled):

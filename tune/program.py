@@ -1,4 +1,4 @@
-"""Compiling the programs of this room."""
+"""Compiling the programs of this room, and sharing their rows out over devices."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from functools import cache
 from typing import Any
 
 import jax
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
 
 OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
 """For XLA's CPU compiler. Its fusion emitters abort the whole process on some Jacobians
@@ -36,3 +38,21 @@ def program(f: Callable[..., Any], **more: Any) -> Callable[..., Any]:
         return made[0](*args, **named)
 
     return call
+
+
+def on_all_devices(f: Callable[..., Any]) -> Callable[..., Any]:
+    """`f` of rows [N, ...], with the rows shared out over this process's devices.
+
+    Each works out its own rows, and nothing passes between them. N has to be a multiple
+    of `devices()`.
+    """
+    rows = PartitionSpec("rows")
+    mesh = Mesh(np.array(jax.local_devices()), ("rows",))
+    return jax.shard_map(f, mesh=mesh, in_specs=rows, out_specs=rows, check_vma=False)
+
+
+def devices() -> int:
+    """Devices that JAX gives this process: GPUs, or as many CPU devices as were asked
+    for by `--xla_force_host_platform_device_count`.
+    """
+    return jax.local_device_count()

@@ -22,7 +22,7 @@ from ..quantities import Quantity, Setting
 from . import linear, measure, merits, point
 from .axes import Axis, Plants, cells
 from .dataset import dataset, save_dataset
-from .program import program
+from .program import devices, on_all_devices, program
 
 METHODS = ("linear", "multisine", "noise")
 MEMORY = 256e6
@@ -157,7 +157,7 @@ class _Work:
             s = self.plan.at(row)
             return measure.measure(s, given, self.plan.frozen, self.settle)
 
-        return jax.jit(jax.vmap(one))
+        return jax.jit(on_all_devices(jax.vmap(one)))
 
     def run(self, method: str, save: Callable[[int, dict], None], done: set[int],
             tell: Callable[[int], None]) -> None:  # fmt: skip
@@ -176,7 +176,7 @@ class _Work:
             tell(len(rows))
 
         # LAPACK in two runs at once can lock up XLA's pool of threads; it is fast
-        # enough alone. Simulations share the cores.
+        # enough alone. Simulations share the cores, or the devices.
         if method == "linear":
             for i in todo:
                 one(i)
@@ -196,15 +196,14 @@ def _corners(rows: np.ndarray, most: int = 24) -> np.ndarray:
 
 
 def chunk_size(plan: Plan, method: str) -> int:
-    """Cells in a chunk."""
-    if plan.chunk:
-        return plan.chunk
+    """Cells in a chunk, as many on every device."""
     if method == "linear":
-        each = merits.LINES * 10 * 16 * 4.0
+        each, most = merits.LINES * 10 * 16 * 4.0, 256
     else:
         each = plan.excitations[method].shape.size * len(measure.KEEP) * 8 * 3.0
-    most = int(np.prod(plan.shape))
-    return int(min(max(MEMORY // each, 16), 256 if method == "linear" else 128, most))
+        most = 128
+    fits = plan.chunk or int(min(max(MEMORY // each, 16), most, np.prod(plan.shape)))
+    return -(-fits // devices()) * devices()
 
 
 def run(plan: Plan, folder: Path | None = None, tell: Tell | None = None) -> xr.Dataset:
