@@ -369,11 +369,9 @@ def _stop(*_: object) -> None:
 def run(*words: object) -> tuple[int | None, str]:
     """The command line in this process: exit status (None: a traceback), and stderr."""
     from hydrojax import cli
-    from hydrojax.cli import desk
 
     out, err = io.StringIO(), io.StringIO()
-    sys.argv = ["hydrojax", *map(str, words)]
-    desk.console.file, desk.errors.file = out, err
+    before, sys.argv = sys.argv, ["hydrojax", *map(str, words)]
     signal.signal(signal.SIGALRM, _stop)
     signal.alarm(PATIENCE)
     code: int | None = 0
@@ -388,6 +386,7 @@ def run(*words: object) -> tuple[int | None, str]:
         return None, f"{type(error).__name__}: {error}"
     finally:
         signal.alarm(0)
+        sys.argv = before
     return code, err.getvalue()
 
 

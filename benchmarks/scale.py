@@ -1,13 +1,15 @@
 """What a gain set costs in a sweep, and what a very long table of jobs costs by itself.
 
 Run as `python -m benchmarks.scale gains` (two sweeps, and one on a cluster that loses a
-worker) and `python -m benchmarks.scale table` (a million rows, a tenth of them with a
-result, nothing fitted). What is printed is what docs/scale.md says.
+worker), `devices` (sweeps that measure, on one and on two devices of the processor) or
+`table` (a million rows, a tenth of them with a result, nothing fitted). What is printed
+is what docs/scale.md says.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import subprocess
 import sys
@@ -29,10 +31,16 @@ CHUNK = 256
 """Gain sets in a chunk of a sweep of the linearised loop."""
 
 
-def sweep(out: Path, side: int, *more: str) -> float:
+DEVICES = "--xla_force_host_platform_device_count"
+
+
+def sweep(
+    out: Path, side: int, *more: str, lose: bool = False, devices: int = 1
+) -> float:
     """A sweep of `side` times `side` gain sets; its seconds.
 
-    With `more`, on a cluster that loses its busiest worker after a third.
+    `lose`: its busiest worker is killed after a third; `devices`: so many of the
+    processor.
     """
     shutil.rmtree(out, ignore_errors=True)
     rig = Path(hydrojax.__file__).parent / "reference" / "rig.toml"
@@ -40,11 +48,12 @@ def sweep(out: Path, side: int, *more: str) -> float:
     words = ["sweep", str(rig), "--over", *axes, "--out", str(out), *more]
     began = time.perf_counter()
     process = subprocess.Popen(
-        [sys.executable, "-m", "hydrojax.cli", *words], stdout=subprocess.DEVNULL
-    )
+        [sys.executable, "-m", "hydrojax.cli", *words], stdout=subprocess.DEVNULL,
+        env=os.environ | {"XLA_FLAGS": f"{DEVICES}={devices}"},
+    )  # fmt: skip
     watch = Watch(process)
     watch.start()
-    left = bool(more)
+    left = lose
     while process.poll() is None:
         if left and len(list(out.glob("parts/*.npz"))) >= side**2 / CHUNK / 3:
             busy = psutil.Process(process.pid).children(recursive=True)
@@ -67,7 +76,7 @@ def gains(folder: Path) -> None:
     small, large = 32, 128
     sweep(folder / "compiled", small)  # the programs are on disk after it
     took = sweep(folder / "small", small), sweep(folder / "large", large)
-    sweep(folder / "shared", large, "--cluster", "local:2")
+    sweep(folder / "shared", large, "--cluster", "local:2", lose=True)
     one, two = (
         xr.load_dataset(folder / n / "sweep.nc", engine="h5netcdf")
         for n in ("large", "shared")
@@ -78,6 +87,18 @@ def gains(folder: Path) -> None:
         f"{1e3 * each:.3f} ms a gain set beyond the start; shared, a worker killed: "
         f"{'the same numbers' if same else 'OTHER NUMBERS'}"
     )
+
+
+def devices(folder: Path) -> None:
+    """Gain sets measured in simulation on one device with threads, and on two."""
+    small, large = 12, 32
+    for count in (1, 2):
+        took = [
+            sweep(folder / f"{name} {count}", side, "--by", "multisine", devices=count)
+            for name, side in (("compiled", small), ("small", small), ("large", large))
+        ]
+        each = (took[2] - took[1]) / (large**2 - small**2)
+        print(f"{count} devices: {1e3 * each:.2f} ms a gain set beyond the start")
 
 
 def long_table(folder: Path, rows: int) -> None:
@@ -122,13 +143,15 @@ def long_table(folder: Path, rows: int) -> None:
 def main() -> None:
     """One part of the study."""
     given = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    given.add_argument("part", choices=("gains", "table"))
+    given.add_argument("part", choices=("gains", "devices", "table"))
     given.add_argument("--out", type=Path, default=Path("hydrojax-scale-study"))
     given.add_argument("--rows", type=int, default=1_000_000)
     words = given.parse_args()
     words.out.mkdir(parents=True, exist_ok=True)
     if words.part == "gains":
         gains(words.out)
+    elif words.part == "devices":
+        devices(words.out)
     else:
         long_table(words.out, words.rows)
 

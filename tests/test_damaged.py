@@ -227,7 +227,7 @@ def test_a_rig_file_or_a_log_cannot_reach_out(bench, call, tmp_path):
         p: p.stat().st_mtime_ns for p in tmp_path.rglob("*") if out not in p.parents
     }
     del after[out]
-    assert after.keys() == before.keys() and not list(folder.parent.glob("*script*"))
+    assert after.keys() == before.keys() and not list(folder.parent.glob("*<*"))
     assert "<script>alert(1)" not in (out / "report.html").read_text()
     for column in (str(secret), "__import__('os').remove('x')"):
         line = f'[channels]\nF = {{ column = {json.dumps(column)}, unit = "N" }}\n'

@@ -138,6 +138,19 @@ with open("seen.json", "w") as file:
     assert [p.name for p in tmp_path.iterdir()] == ["seen.json"]
 
 
+def test_importing_the_simulator_costs_little_beside_jax(tmp_path):
+    """Processor time of one process, the least of three."""
+    code = """
+from time import process_time as now
+start = now()
+import jax
+middle = now()
+import hydrojax, hydrojax.rig, hydrojax.replay, hydrojax.loop
+print((now() - start) / (middle - start))
+"""
+    assert min(float(python(code, tmp_path).stdout) for _ in range(3)) < 1.5
+
+
 @pytest.mark.parametrize("name", ["identify", "tune"])
 def test_a_bare_room_says_whose_it_is(name):
     """Both names belong to other packages; from the root they would be found."""
