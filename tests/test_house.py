@@ -2,6 +2,8 @@
 
 import ast
 import graphlib
+import importlib
+import importlib.util
 import json
 import os
 import subprocess
@@ -158,6 +160,27 @@ def test_a_bare_room_says_whose_it_is(name):
     assert done.returncode != 0
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith("ImportError:") and f"hydrojax.{name}" in last
+
+
+def test_what_benchmarks_and_documents_import_is_there():
+    """They are run rarely, and import where they need it."""
+    files = [*(ROOT / "benchmarks").rglob("*.py"), *(ROOT / "docs").rglob("*.py")]
+    missing = [
+        f"{path.name}: {node.module}.{alias.name}"
+        for path in files
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and not node.level
+        and (node.module or "").startswith(("hydrojax", "benchmarks", "tests"))
+        for alias in node.names
+        if not _has(node.module or "", alias.name)
+    ]  # fmt: skip
+    assert not missing
+
+
+def _has(module: str, name: str) -> bool:
+    if hasattr(importlib.import_module(module), name):
+        return True
+    return importlib.util.find_spec(f"{module}.{name}") is not None
 
 
 # -- packaging --

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .logs import opened, problem, replayed
+from .logs import opened, predict, problem, replayed
 from .loop import Build
 from .replay import peer
 
@@ -201,8 +201,8 @@ def by_optimistix(folder: str, normal: bool) -> Build:
 
 def cost(folder: str, params: list[float]) -> Build:
     """What all minimise, at `params` [16], by hydrojax's replay from known starts."""
+    import jax
     import jax.numpy as jnp
-    from hydrojax.identify.columns import predict
 
     from hydrojax.named import put
 
@@ -210,10 +210,11 @@ def cost(folder: str, params: list[float]) -> Build:
 
     made = problem(folder)
     rig = put(made.model.rig, NAMES, jnp.asarray(params))
+    batch = jax.tree.map(jnp.asarray, made.batch)
 
     def build():
         def call():
-            y = predict(rig, made.batch, True)
+            y = predict(rig, batch)
             r = (made.batch.windows.measured - y) / made.batch.noise
             return 0.5 * float(jnp.sum(r**2))
 

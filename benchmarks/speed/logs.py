@@ -155,3 +155,12 @@ def replayed(folder: str) -> tuple[Any, np.ndarray]:
     b, values = made.batch, made.initial_values()
     start = np.array([values[made.model.names.index(n)] for n in NAMES])
     return Replay(made.model.rig, b.motion, b.windows, np.asarray(b.P_0)), start
+
+
+def predict(rig: Any, batch: Any) -> Any:
+    """What the sensors would read, [W, T, 3], from a batch's initial pressures."""
+    from hydrojax.replay import friction_memory, pressures, readings
+
+    w = batch.windows
+    past = friction_memory(rig, batch.motion).within(w)
+    return readings(rig, w, *pressures(rig, w, batch.P_0), past)

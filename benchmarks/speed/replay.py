@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .children import Children, Program
-from .logs import problem, replayed
+from .logs import predict, problem, replayed
 from .loop import CORES, Build, on
 from .measured import Section, agrees, compare, measure, quickest
 from .timing import Goal
@@ -32,7 +32,6 @@ def own_forward(folder: str) -> Build:
     """The product's replay, [W, T, 3]."""
     import jax
     import jax.numpy as jnp
-    from hydrojax.identify.columns import predict
 
     from hydrojax.named import put
 
@@ -44,7 +43,7 @@ def own_forward(folder: str) -> Build:
     def build():
         @jax.jit
         def run(params, batch):
-            return predict(put(made.model.rig, NAMES, params), batch, True)
+            return predict(put(made.model.rig, NAMES, params), batch)
 
         return lambda: _size(run(start, batch).block_until_ready())
 
