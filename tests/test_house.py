@@ -3,7 +3,6 @@
 import ast
 import graphlib
 import importlib
-import importlib.util
 import json
 import os
 import subprocess
@@ -178,9 +177,11 @@ def test_what_benchmarks_and_documents_import_is_there():
 
 
 def _has(module: str, name: str) -> bool:
-    if hasattr(importlib.import_module(module), name):
-        return True
-    return importlib.util.find_spec(f"{module}.{name}") is not None
+    try:
+        importlib.import_module(f"{module}.{name}")
+    except ModuleNotFoundError:
+        return hasattr(importlib.import_module(module), name)
+    return True
 
 
 # -- packaging --

@@ -167,7 +167,6 @@ def by_optimistix(folder: str, normal: bool) -> Build:
     import jax.numpy as jnp
     import lineax as lx
     import optimistix as optx
-    from hydrojax.identify.columns import predict
 
     from hydrojax.named import put
 
