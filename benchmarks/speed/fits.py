@@ -129,8 +129,9 @@ def marquardt(
     for _ in range(STEPS):
         J = derivative(q)
         H, g = J.T @ J, J.T @ r
+        size = np.maximum(np.diagonal(H), 1e-12 * np.max(np.diagonal(H)))
         for _ in range(12):
-            move = np.linalg.solve(H + damping * np.diag(np.diagonal(H)), -g)
+            move = np.linalg.solve(H + damping * np.diag(size), -g)
             new = residual(q + move)
             lower = new @ new
             if lower < cost:
@@ -177,7 +178,7 @@ def by_optimistix(folder: str, normal: bool) -> Build:
     linear = lx.Normal(lx.Cholesky()) if normal else lx.QR()
 
     def residual(params, batch):
-        y = predict(put(made.model.rig, NAMES, params), batch, True)
+        y = predict(put(made.model.rig, NAMES, params), batch)
         return (batch.windows.measured - y) / batch.noise
 
     J = jax.jit(jax.jacfwd(residual))(begin, given)

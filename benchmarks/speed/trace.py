@@ -16,8 +16,9 @@ HIDDEN = "internal_leakage"
 SIZE = 3.0
 """The effect that is hidden, in units of a size that matters."""
 
-FEW = 2
-"""Candidates that a quick run refits."""
+FEW = {True: 2, False: 8}
+"""Candidates that a quick and a full run refit. Each compiles programs of its own; a
+process that refitted all ran out of room for code."""
 
 
 def make_case(folder: str, seconds: float) -> None:
@@ -57,13 +58,13 @@ def traced(folder: str) -> dict[str, Any]:
 
 
 def refitted(folder: str, count: int) -> dict[str, Any]:
-    """Refit the declared model and `count` candidates twice (0: all of them)."""
+    """Refit the declared model and `count` candidates twice."""
     from benchmarks.trace.baselines import refit_case
     from hydrojax.effects import EFFECTS
 
     names = list(EFFECTS)
     names = [HIDDEN, *(n for n in names if n != HIDDEN)]
-    names = names[:count] if count else names
+    names = names[:count]
     place = Path(folder) / "case"
     found, seconds = twice(lambda: refit_case(place, lambda what: None, names))
     return seconds | {"named": found["named"], "fits": 1 + len(names)}
@@ -84,8 +85,7 @@ def run(quick: bool, tell: Callable[[str], None]) -> Section:
                 tell(f"trace, {kind} a cache: {i + 1} of {rounds}")
                 runs[kind].append(fresh("trace:traced", at, where))
         tell("refit the candidates")
-        count = FEW if quick else 0
-        refits = fresh("trace:refitted", at | {"count": count})
+        refits = fresh("trace:refitted", at | {"count": FEW[quick]})
     _figures(section, runs, refits)
     return section
 
@@ -113,13 +113,8 @@ def _figures(
         over = ratio([share * refits[key]] * len(own), own)
         says = f"refit of each over trace, {kind}"
         section.figures.append(figure(says, over, "times", Goal(10, most=False)))
-    what = (
-        "all were refitted"
-        if share == 1
-        else (f"{refits['fits']} fits were timed, and stand for all")
-    )
     section.note(
         f"{one['candidates']} candidates; hidden: {HIDDEN}; trace named "
-        f"{', '.join(one['named']) or 'nothing'}; {what}; BIC named "
-        f"{', '.join(refits['named']) or 'nothing'}."
+        f"{', '.join(one['named']) or 'nothing'}; {refits['fits']} fits were timed, "
+        f"and stand for all; BIC named {', '.join(refits['named']) or 'nothing'}."
     )
