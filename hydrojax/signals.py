@@ -107,24 +107,29 @@ def read_log(
         file = read_table(path)
     found, notes = _assign(file, channels)
     notes = [*file.notes, *notes]
+    labels = {name: column.label for name, (column, _, _) in found.items()}
+    used = {id(column) for column, _, _ in found.values()}
+    ignored = tuple(c.label for c in file.columns if id(c) not in used)
+    file.columns.clear()  # a long log is large: what is taken over is let go
     arrays, stored = {}, {}
-    for name, (column, unit, sign) in found.items():
+    for name in list(found):
+        column, unit, sign = found.pop(name)
         values, stored[name] = _si(file, name, column, unit)
-        arrays[name] = sign * values
+        arrays[name] = values if sign == 1.0 else sign * values
     rows = len(arrays["time"])
     for name, values in arrays.items():
         if len(values) != rows:
             raise InputError(
-                f"{path}: {found[name][0].label!r} has {len(values)} values, time has "
+                f"{path}: {labels[name]!r} has {len(values)} values, time has "
                 f"{rows}; log both at the same rows"
             )
     if rows < _LEAST_ROWS:
         raise InputError(
             f"{path}: {rows} rows are too few; a log needs at least {_LEAST_ROWS}"
         )
-    coarse = _check_time(file, found["time"][0].label, arrays["time"])
+    coarse = _check_time(file, labels["time"], arrays["time"])
     for name, values in arrays.items():
-        notes += _check_values(file, name, found[name][0].label, values)
+        notes += _check_values(file, name, labels[name], values)
     merged = 0
     if coarse:
         arrays, merged = _merge(arrays)
@@ -139,8 +144,6 @@ def read_log(
             f"({'; '.join(cuts) or f'it lasts {time[-1] - time[0]:g} s'}); log longer, "
             "or take the column with the holes out"
         )
-    used = {id(column) for column, _, _ in found.values()}
-    ignored = tuple(c.label for c in file.columns if id(c) not in used)
     name = path.absolute().name  # of "." too
     return Log(name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts))
 
@@ -239,7 +242,8 @@ def _numbers(file: File, where: str, values: Any) -> np.ndarray:
             )
         cells = numbers
     result = cells.to_numpy(dtype=float, na_value=np.nan)
-    return np.where(np.isfinite(result), result, np.nan)
+    finite = np.isfinite(result)
+    return result if finite.all() else np.where(finite, result, np.nan)
 
 
 def _check_time(file: File, label: str, time: np.ndarray) -> bool:

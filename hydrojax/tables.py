@@ -107,7 +107,15 @@ def _csv(path: Path) -> list[Column]:
 
 
 def _parquet(path: Path) -> list[Column]:
-    frame = pd.read_parquet(path)
+    import pyarrow as pa  # slow to import
+    from pyarrow import dataset
+
+    # Column by column, each let go as it is taken over, and given back to the system,
+    # which Arrow's own allocator puts off: long logs are large.
+    pool = pa.system_memory_pool()
+    table = dataset.dataset(path, format="parquet").to_table(memory_pool=pool)
+    frame = table.to_pandas(memory_pool=pool, split_blocks=True, self_destruct=True)
+    del table
     if any(name is not None for name in frame.index.names):
         frame = frame.reset_index()
     return [_labelled(name, frame.iloc[:, i]) for i, name in enumerate(frame.columns)]
