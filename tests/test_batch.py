@@ -309,7 +309,7 @@ def test_killed_at_any_moment_it_goes_on_and_gives_the_same_bytes(tmp_path):
 
 
 def test_ctrl_c_keeps_what_is_done_and_leaves_no_worker(tmp_path):
-    table, out = fleet(tmp_path, good(40, seconds=0.1)), tmp_path / "out"
+    table, out = fleet(tmp_path, good(40, seconds=0.5)), tmp_path / "out"
     going = process(table, out)
     wait_for(out, 4)
     workers = psutil.Process(going.pid).children()
@@ -337,7 +337,7 @@ def test_ctrl_c_says_how_to_go_on(call, tmp_path, monkeypatch):
 
 def test_a_cluster_that_loses_a_worker_loses_nothing(tmp_path):
     pytest.importorskip("distributed")
-    table = fleet(tmp_path, good(30, seconds=0.1))
+    table = fleet(tmp_path, good(30, seconds=0.3))
     whole, out = tmp_path / "whole", tmp_path / "out"
     pretended(table, whole)
     for file in tmp_path.glob("*.calls"):
