@@ -97,8 +97,8 @@ def read_log(
     Raises:
         InputError: the file is not what its name says, lacks `time`, has fewer than 50
             rows or no segment; a signal has a missing or wrong unit, a cell that is no
-            number, or does not move; time is missing, falls or repeats in some row
-            (rows that share a stamp of a coarse clock are averaged).
+            number or beyond any sensor, or does not move; time is missing, falls or
+            repeats in some row (rows of one stamp of a coarse clock are averaged).
     """
     path, channels = Path(path), channels or {}
     if is_bag(path):
@@ -219,8 +219,8 @@ def _si(
     wild = np.flatnonzero(np.abs(found) > _WILD)
     if len(wild):
         raise InputError(
-            f"{where}, row {wild[0] + 1}: {values[wild[0]]:g} {unit} is beyond any "
-            "sensor; mend the row or the unit, or leave the cell empty"
+            f"{where}, {file.row(int(wild[0]))}: {values[wild[0]]:g} {unit} is beyond "
+            "any sensor; mend the cell or the unit, or leave the cell empty"
         )
     return found, want
 

@@ -159,6 +159,10 @@ BAD_LOGS = {
         changed("time [s]", at(10, np.nan)),
         ("time [s]", "missing", "row 11", "line 12"),
     ),
+    "a command once a second": (
+        columns() | {"time [s]": 1.0 * np.arange(3000)},
+        ("a row every 1 s", "20 Hz"),
+    ),
     "three rows": ({k: v[:3] for k, v in columns().items()}, ("3 rows",)),
     "a sensor at rest": (
         changed("P_a2 [bar]", at(slice(None), 70.0)),

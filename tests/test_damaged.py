@@ -1,6 +1,6 @@
 """Damaged input: an answer or one line, whatever is in the file.
 
-The mutations are those of `benchmarks/damage.py`, which runs them by the thousand.
+The mutations are those of `benchmarks.damage`, which runs them by the thousand.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from benchmarks import damage
+from benchmarks.damage import __main__ as damage
+from benchmarks.damage.mutations import damaged_log, damaged_rig
 from hydrojax import units
 from hydrojax.build import load_rig
 from hydrojax.errors import InputError
@@ -67,22 +68,19 @@ def rig_is_sound_or_refused(path: Path) -> None:
         assert low <= entry.start <= high
 
 
+@pytest.mark.parametrize(
+    "name, mutated, read_or_refused",
+    [
+        ("log.csv", damaged_log, log_is_sound_or_refused),
+        ("rig.toml", damaged_rig, rig_is_sound_or_refused),
+    ],
+)
 @many
 @given(seed=seeds)
-def test_a_mutated_log_is_read_or_refused(bench, tmp_path, seed):
-    text = (bench[0] / "log.csv").read_bytes()
-    path = tmp_path / "bad.csv"
-    path.write_bytes(damage.damaged_log(text, random.Random(seed))[0])
-    log_is_sound_or_refused(path)
-
-
-@many
-@given(seed=seeds)
-def test_a_mutated_rig_file_is_read_or_refused(bench, tmp_path, seed):
-    text = (bench[0] / "rig.toml").read_bytes()
-    path = tmp_path / "bad.toml"
-    path.write_bytes(damage.damaged_rig(text, random.Random(seed))[0])
-    rig_is_sound_or_refused(path)
+def test_a_mutated_file(bench, tmp_path, name, mutated, read_or_refused, seed):
+    path = tmp_path / name
+    path.write_bytes(mutated((bench[0] / name).read_bytes(), random.Random(seed))[0])
+    read_or_refused(path)
 
 
 words = st.text(max_size=12)

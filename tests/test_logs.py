@@ -69,6 +69,13 @@ def same(one: Log, other: Log) -> None:
         np.testing.assert_allclose(other.signals[name], values, rtol=1e-12)
 
 
+def test_a_value_that_no_sensor_gives_is_refused_at_its_row(tmp_path: Path) -> None:
+    wild = a_run()["P_a1 [bar]"].copy()
+    wild[41] = 1e300
+    path = edited(tmp_path, P_a1=wild)
+    refusal(path, "P_a1 [bar]", "row 42 (line 43)", "1e+300 bar", "beyond any sensor")
+
+
 # What is read
 
 

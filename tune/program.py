@@ -44,15 +44,8 @@ def on_all_devices(f: Callable[..., Any]) -> Callable[..., Any]:
     """`f` of rows [N, ...], with the rows shared out over this process's devices.
 
     Each works out its own rows, and nothing passes between them. N has to be a multiple
-    of `devices()`.
+    of `jax.local_device_count()`: GPUs, or CPU devices if XLA was asked for several.
     """
     rows = PartitionSpec("rows")
     mesh = Mesh(np.array(jax.local_devices()), ("rows",))
     return jax.shard_map(f, mesh=mesh, in_specs=rows, out_specs=rows, check_vma=False)
-
-
-def devices() -> int:
-    """Devices that JAX gives this process: GPUs, or as many CPU devices as were asked
-    for by `--xla_force_host_platform_device_count`.
-    """
-    return jax.local_device_count()

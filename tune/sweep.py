@@ -22,7 +22,7 @@ from ..quantities import Quantity, Setting
 from . import linear, measure, merits, point
 from .axes import Axis, Plants, cells
 from .dataset import dataset, save_dataset
-from .program import devices, on_all_devices, program
+from .program import on_all_devices, program
 
 METHODS = ("linear", "multisine", "noise")
 MEMORY = 256e6
@@ -203,7 +203,8 @@ def chunk_size(plan: Plan, method: str) -> int:
         each = plan.excitations[method].shape.size * len(measure.KEEP) * 8 * 3.0
         most = 128
     fits = plan.chunk or int(min(max(MEMORY // each, 16), most, np.prod(plan.shape)))
-    return -(-fits // devices()) * devices()
+    devices = jax.local_device_count()
+    return -(-fits // devices) * devices
 
 
 def run(plan: Plan, folder: Path | None = None, tell: Tell | None = None) -> xr.Dataset:

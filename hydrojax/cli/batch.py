@@ -13,6 +13,8 @@ from .desk import (
     Cluster,
     Effects,
     Horizon,
+    Level,
+    Matters,
     Out,
     Profile,
     app,
@@ -49,13 +51,8 @@ def batch(
             help="Fits from so many starts.", min=0, show_default="the command's own"
         ),
     ] = 0,
-    matters: Annotated[
-        float,
-        typer.Option(help="Least fall of the error, as a share of the noise.", min=0.0),
-    ] = 0.02,
-    level: Annotated[
-        float, typer.Option(help="Family-wise significance.", min=1e-12, max=0.5)
-    ] = 0.01,
+    matters: Matters = 0.02,
+    level: Level = 0.01,
     profile: Profile = False,
     effects: Effects = None,
 ) -> None:

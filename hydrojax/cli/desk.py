@@ -72,6 +72,14 @@ Cluster = Annotated[
     ),
 ]
 
+Matters = Annotated[
+    float,
+    typer.Option(help="Least fall of the error, as a share of the noise.", min=0.0),
+]
+Level = Annotated[
+    float, typer.Option(help="Family-wise significance.", min=1e-12, max=0.5)
+]
+
 Profile = Annotated[
     bool,
     typer.Option("--profile", help="Intervals by profile likelihood too: many refits."),

@@ -13,7 +13,9 @@ from ..backend import set_up_jax, user_cache
 from .desk import (
     Effects,
     Horizon,
+    Level,
     Logs,
+    Matters,
     Out,
     Profile,
     RigFile,
@@ -65,13 +67,8 @@ def trace(
     out: Out = Path("hydrojax-trace"),
     horizon: Horizon = 0.25,
     starts: Annotated[int, typer.Option(help="Fits from so many starts.", min=1)] = 1,
-    matters: Annotated[
-        float,
-        typer.Option(help="Least fall of the error, as a share of the noise.", min=0.0),
-    ] = 0.02,
-    level: Annotated[
-        float, typer.Option(help="Family-wise significance.", min=1e-12, max=0.5)
-    ] = 0.01,
+    matters: Matters = 0.02,
+    level: Level = 0.01,
     profile: Profile = False,
     effects: Effects = None,
 ) -> None:

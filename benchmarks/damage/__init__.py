@@ -1,0 +1,1 @@
+"""Damaged logs and rig files, by the thousand."""
