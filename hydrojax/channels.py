@@ -127,6 +127,7 @@ class ValveRateLimit(CommandChannel):
         "largest rate of the spool",
         strength=True,
         size=2e-3,
+        grid=(1e-2,),
         outside=("r_v", "{u}/s"),
     )
 

@@ -29,8 +29,11 @@ class Spec:
         prior: standard deviation of a Gaussian prior about `default`, or None.
         strength: whether the effect is absent exactly when all its strengths are at
             their default; the other parameters of an effect are its shape.
-        grid: shape values to try while the strength is zero.
+        grid: shape values to try while the strength is zero; for a strength, values
+            to try as they are, where it does what its slope at zero does not foresee.
         size: a strength's typical magnitude, for scaling.
+        least: magnitude of a strength under which it is not this effect that acts, but
+            something too fast or too small for a log to tell.
         outside: how files and reports show the value, if not as it is stored: the
             reciprocal under this name and unit.
     """
@@ -44,6 +47,7 @@ class Spec:
     strength: bool = False
     grid: tuple[float, ...] = ()
     size: float | None = None
+    least: float = 0.0
     outside: tuple[str, str] | None = None
 
     @property

@@ -21,9 +21,9 @@ class Score:
     parameters free to follow; `step`: that step, in units of the columns; `p_value`:
     of the cluster-robust score test, for this candidate alone; `power`: the chance
     that the test would have seen the effect at a size that matters; `shape`: the values
-    of its shape at which it was scored; `share`: the gain over all of chi-square;
-    `power_at_noise`: the power were the residual at its noise; `by_window` [W,
-    columns]: the windows' scores, of which the test is the sum.
+    of its shape at which it was scored; `left`: all of chi-square; `power_at_noise`:
+    the power were the residual at its noise; `by_window` [W, columns]: the windows'
+    scores, of which the test is the sum.
     """
 
     name: str
@@ -31,10 +31,15 @@ class Score:
     step: np.ndarray
     p_value: float
     power: float
-    share: float
+    left: float
     power_at_noise: float
     shape: Mapping[str, float] = field(default_factory=dict)
     by_window: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def share(self) -> float:
+        """The gain over all of chi-square."""
+        return self.gain / self.left if self.left > 0.0 else 0.0
 
 
 class Projection:
@@ -89,7 +94,8 @@ def score(
     H = projection.curvature(columns, columns)
     own = projection.total[columns, columns]
     if np.all(np.diag(H) <= 1e-9 * np.maximum(own, 1e-300)):
-        return Score(name, 0.0, np.zeros(len(columns)), 1.0, 0.0, 0.0, 0.0)
+        none = np.zeros(len(columns))
+        return Score(name, 0.0, none, 1.0, 0.0, projection.left, 0.0)
     H = _solid(H)
     reach = np.max(np.abs(ends), axis=1)
     by_window = projection.scores(columns)
@@ -104,9 +110,9 @@ def score(
     if gain == 0.0:
         p = 1.0
     power = _power(H, spread, reach, matters, level)
-    share = gain / projection.left
     at_noise = _power(H, H, reach, matters, level)
-    return Score(name, gain, step, p, power, share, at_noise, by_window=by_window)
+    left = projection.left
+    return Score(name, gain, step, p, power, left, at_noise, by_window=by_window)
 
 
 def _power(H, spread, reach, matters, level) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,6 +26,8 @@ TRIES = 4
 """Candidates that are refitted in a round, and as many more as score nearly as high."""
 ROUNDS = 4
 """Effects that a stage may add."""
+FRICTION = ("velocity", "level", "friction")
+"""Places of effects that friction's own parameters stand in for."""
 BEYOND_CHANCE = 3.0
 """Standard errors by which the validation error must fall."""
 
@@ -171,12 +173,21 @@ def _scores(
     for i in free:
         known = state.problem.free[names[i]].prior
         prior[i] = state.problem.model.scale[i] / known if known else 0.0
-    grids = [len(s.grid) for e in effects.values() for s in specs(e).values()]
+    grids = [
+        len(s.grid)
+        for e in effects.values()
+        for s in specs(e).values()
+        if not s.strength
+    ]
     best: dict[str, Score] = {}
+
+    def projected(values: np.ndarray, fitted: Sequence[int]) -> Projection:
+        gram = np.array(state.problem.sums_at(values, weights).gram)
+        return Projection(gram, fitted, prior)
+
     for g in range(max([1, *grids])):
         values, shapes = _shaped(state, effects, g)
-        gram = np.array(state.problem.sums_at(values, weights).gram)
-        projection = Projection(gram, free, prior)
+        projection = projected(values, free)
         for name, effect in effects.items():
             if g > 0 and name not in shapes:
                 continue
@@ -191,7 +202,42 @@ def _scores(
             s = score(projection, name, columns, ends, matters, state.level)
             if name not in best or s.gain > best[name].gain:
                 best[name] = replace(s, shape=shapes.get(name, {}))
+    for name, strength, value in _afar(state, effects, noise):
+        shape = {strength: value}
+        own = [names.index(n) for n in free_names(effects[name])]
+        there = projected(
+            _placed(state.problem, state.point.values, shape), [*free, *own]
+        )
+        left = best[name].left
+        if left - there.left > best[name].gain:
+            gain = left - there.left
+            best[name] = replace(best[name], gain=gain, shape=shape)
     return best
+
+
+def _afar(
+    state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
+) -> list[tuple[str, str, float]]:
+    """Effects and the strengths at which they are scored as they stand, where anything
+    is left that they could explain.
+    """
+    far = [(n, *at) for n, effect in effects.items() for at in _far(effect)]
+    seen = np.isfinite(noise)
+    sse = state.problem.errors_at(state.point.values) if far else np.zeros((1, 3))
+    above = state.problem.rms(sse) > (1 + state.matters) * noise
+    return far if np.any(above & seen) else []
+
+
+def _far(effect: Effect) -> list[tuple[str, float]]:
+    """Values of strengths at which an effect is tried as it stands: what it does there
+    is not foreseen by its derivative at zero.
+    """
+    return [
+        (f"{effect.name}.{field}", value)
+        for field, s in specs(effect).items()
+        for value in s.grid
+        if s.strength
+    ]
 
 
 def _shaped(
@@ -203,7 +249,7 @@ def _shaped(
     shapes: dict[str, dict[str, float]] = {}
     for name, effect in effects.items():
         for f, s in specs(effect).items():
-            if g < len(s.grid):
+            if not s.strength and g < len(s.grid):
                 values[names.index(f"{name}.{f}")] = s.grid[g]
                 shapes.setdefault(name, {})[f"{name}.{f}"] = s.grid[g]
     return values, shapes
@@ -233,6 +279,8 @@ def _round(
         problem, point = _refit(state, effects[s.name], s, noise)
         after = state.check.errors_at(point.values)
         tried[s.name] = judge(state, before, after, noise)
+        if _negligible(problem, point, effects[s.name]):
+            tried[s.name] = "too small"
         if tried[s.name] == "helps":
             helped.append((_cost(after, noise), s.name, problem, point, after))
     state = replace(state, tried=tried)
@@ -256,53 +304,90 @@ def _round(
 def _refit(
     state: Tracing, effect: Effect, s: Score, noise: np.ndarray
 ) -> tuple[Problem, Point]:
-    """Fit again with the effect free, from half the step that its score foresees."""
+    """Fit again with the effect free, from half the step that its score foresees; and,
+    as long as that leaves something, from where else it may lie.
+    """
     problem = state.problem
-    values = _stepped(problem, state.point.values, effect, s)
     free = (*state.free, *free_names(effect))
-    if not np.isfinite(noise[2]):
-        problem, values = fit_pressures(problem, values, free)
-        return problem, replace(state.point, values=values)
-    fits = [fit_jointly(problem, values, free, state.point.weights)]
-    again = _brought_back(problem, state.point.values, state.free)
-    if again is not None and effect.place not in ("sensor_P", "sensor_F"):
+    seen = np.isfinite(noise)
+
+    def one(values: np.ndarray) -> tuple[Problem, Point, np.ndarray]:
+        if not seen[2]:
+            done, values = fit_pressures(problem, values, free)
+            point = replace(state.point, values=values)
+        else:
+            done, point = fit_jointly(problem, values, free, state.point.weights)
+        return done, point, done.errors_at(point.values)
+
+    best = one(_stepped(problem, state.point.values, effect, s))
+    starts = _elsewhere(state, effect, s, noise)
+    while np.any((problem.rms(best[2]) > AT_NOISE * noise)[seen]):
+        start = next(starts, None)
+        if start is None:
+            break
+        best = min(best, one(start), key=lambda f: _cost(f[2], noise))
+    return best[:2]
+
+
+def _elsewhere(
+    state: Tracing, effect: Effect, s: Score, noise: np.ndarray
+) -> Iterator[np.ndarray]:
+    """Other values from which to fit an effect, found as they are asked for."""
+    problem, here = state.problem, state.point.values
+    for name, value in _far(effect):
+        if s.shape.get(name) != value:
+            yield _placed(problem, here, {name: value})
+    if effect.place in ("sensor_P", "sensor_F"):
+        return
+    for back in _brought_back(problem, here, state.free, effect.place in FRICTION):
         # What the score foresees from there is another step, often of another sign.
-        there = replace(state, point=replace(state.point, values=again))
+        there = replace(state, point=replace(state.point, values=back))
         other = _scores(there, {effect.name: effect}, noise)[effect.name]
-        values = _stepped(problem, again, effect, other)
-        fits.append(fit_jointly(problem, values, free, state.point.weights))
-    return min(fits, key=lambda f: _cost(f[0].errors_at(f[1].values), noise))
+        yield _stepped(problem, back, effect, other)
 
 
 def _stepped(
     problem: Problem, values: np.ndarray, effect: Effect, s: Score
 ) -> np.ndarray:
     """The values with half the step of an effect's score, at the shape scored."""
-    values, names = values.copy(), list(problem.model.names)
-    for n, step in zip(strengths(effect), s.step, strict=True):
-        i, f = names.index(n), problem.free[n]
-        values[i] = np.clip(0.5 * step * problem.model.scale[i], f.lower, f.upper)
-    for n, value in s.shape.items():
-        values[names.index(n)] = value
+    names = problem.model.names
+    steps = {
+        n: 0.5 * step * problem.model.scale[names.index(n)]
+        for n, step in zip(strengths(effect), s.step, strict=True)
+    }
+    return _placed(problem, values, {**steps, **s.shape})
+
+
+def _placed(
+    problem: Problem, values: np.ndarray, given: Mapping[str, float]
+) -> np.ndarray:
+    """The values with some of them as given, inside their ranges."""
+    values = values.copy()
+    for name, value in given.items():
+        f = problem.free[name]
+        values[problem.model.names.index(name)] = np.clip(value, f.lower, f.upper)
     return values
 
 
 def _brought_back(
-    problem: Problem, values: np.ndarray, free: tuple[str, ...]
-) -> np.ndarray | None:
-    """The values with those at an end of their range back at their start, or None.
+    problem: Problem, values: np.ndarray, free: tuple[str, ...], friction: bool
+) -> Iterator[np.ndarray]:
+    """The values with mechanical ones back at their start: those at an end of their
+    range, if any are, and with `friction` all of them.
 
-    A model that lacks an effect drives its own parameters as far as they go to stand
-    in for it, and from there a fit may not find back.
+    A model that lacks an effect drives its own parameters far off to stand in for it,
+    and from there a fit may not find back.
     """
-    back = values.copy()
-    for name in problem.side(free, False):
-        i, f = problem.model.names.index(name), problem.free[name]
+    mechanical = problem.side(free, False)
+    at = {n: values[problem.model.names.index(n)] for n in mechanical}
+    stuck = []
+    for name, f in ((n, problem.free[n]) for n in mechanical):
         slack = 1e-6 * (f.upper - f.lower)
         inside = f.lower + slack < f.start < f.upper - slack
-        if inside and not f.lower + slack < values[i] < f.upper - slack:
-            back[i] = f.start
-    return back if np.any(back != values) else None
+        if inside and not f.lower + slack < at[name] < f.upper - slack:
+            stuck.append(name)
+    for names in filter(None, (stuck, mechanical if friction else ())):
+        yield _placed(problem, values, {n: problem.free[n].start for n in names})
 
 
 def judge(
@@ -331,6 +416,16 @@ def judge(
     if not np.any(helps & fair):
         return "explains too little"
     return "helps"
+
+
+def _negligible(problem: Problem, point: Point, effect: Effect) -> bool:
+    """Whether all of an effect's strengths came out under the least that is it."""
+    names = problem.model.names
+    return all(
+        abs(point.values[names.index(f"{effect.name}.{field}")]) < s.least
+        for field, s in specs(effect).items()
+        if s.strength
+    )
 
 
 def _falls(before: np.ndarray, after: np.ndarray) -> np.ndarray:

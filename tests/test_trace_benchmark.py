@@ -197,11 +197,15 @@ def test_noise_has_the_declared_size(kind):
 def test_plan_is_mixed_and_repeats():
     first, longer = cases.plan(24), cases.plan(60)
     assert first == longer[:24]
-    assert {s.kind for s in first} == set(cases.KINDS)
+    assert {s.kind for s in first} == set(cases.MIXED)
     assert len({s.name for s in longer}) == 60
-    assert all(s.kind == "pair" for s in cases.plan(5, "pair"))
+    assert all(s.kind == "pair" for s in cases.plan(0, {"pair": 5}))
+    more = cases.plan(24, {"nothing": 10, "large": 2})
+    assert more[:24] == first
+    assert [s.kind for s in more].count("nothing") == 10
+    assert [s.kind for s in more].count("large") == 2
     with pytest.raises(KeyError, match="no such kind"):
-        cases.plan(3, "all")
+        cases.plan(3, {"all": 1})
 
 
 def test_catalogue_holds_what_is_promised():

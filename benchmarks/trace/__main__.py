@@ -25,7 +25,10 @@ def main(
     out: Annotated[Path, typer.Option(help="folder of cases and results")] = Path(
         "trace-benchmark"
     ),
-    only: Annotated[str | None, typer.Option(help="one kind of case")] = None,
+    more: Annotated[
+        list[str] | None,
+        typer.Option(help="KIND=N: at least so many of a kind, as in nothing=100"),
+    ] = None,
     jobs: Annotated[int, typer.Option(help="processes that trace", min=1)] = 1,
     with_baselines: Annotated[
         bool, typer.Option("--baselines/--no-baselines", help="run the cheap ones too")
@@ -44,15 +47,20 @@ def main(
 
     A run that was killed resumes where it stood; a run that is done is only printed.
     """
-    if only is not None and only not in cases.KINDS:
-        raise typer.BadParameter(f"{only!r} is none of {', '.join(cases.KINDS)}")
+    wanted = {}
+    for text in more or ():
+        kind, _, count = text.partition("=")
+        if kind not in cases.KINDS or not count.isdigit():
+            known = ", ".join(cases.KINDS)
+            raise typer.BadParameter(f"{text!r} is not KIND=N; kinds: {known}")
+        wanted[kind] = int(count)
     console = Console(stderr=True)
     from hydrojax.backend import set_up_jax
 
     set_up_jax(cache)
     from hydrojax.effects import EFFECTS
 
-    specs = cases.plan(number, only, [n for n in NAMED if n in EFFECTS])
+    specs = cases.plan(number, wanted, [n for n in NAMED if n in EFFECTS])
     tracer = tracing.Tracing(oracle, with_baselines, cache)
     columns = (
         TextColumn("{task.description}"),

@@ -4,7 +4,8 @@ A case's name says what it is, and seeds it: the same name is the same case. Kin
 `nothing` (the declared model is whole), `parameters` (whole, but the rig file starts
 far off), `effect` (one hidden effect at 0.3, 1 or 3 times a size that matters), `pair`
 (two), `outside` (one that no vocabulary names), `noise` (nothing but unusual sensor
-noise) and `shift` (another load mass and supply pressure on the validation log).
+noise), `shift` (another load mass and supply pressure on the validation log) and
+`large` (one effect as large as the field's literature has it; not in the mix).
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from .catalogue import ALL, NAMED, OUTSIDE, SIZES
+from .catalogue import ALL, LARGEST, NAMED, OUTSIDE, SIZES
 from .excitation import NOISE, STYLES
 from .plant import MASS, Lane
 from .record import Log, record
 
-KINDS = ("nothing", "parameters", "effect", "pair", "outside", "noise", "shift")
+MIXED = ("nothing", "parameters", "effect", "pair", "outside", "noise", "shift")
+KINDS = (*MIXED, "large")
 LOGS = tuple(f"{style}.csv" for style in STYLES)
 
 RANGES = {  # name: (unit, lower end, upper end)
@@ -71,14 +73,19 @@ class CaseSpec:
         return zlib.crc32(self.name.encode())
 
 
-def plan(number: int, only: str | None = None, named: Sequence[str] = ()) -> list:
-    """The first `number` cases of the benchmark, kinds mixed; or of one kind `only`.
+def plan(
+    number: int, more: Mapping[str, int] | None = None, named: Sequence[str] = ()
+) -> list[CaseSpec]:
+    """The first `number` cases of the benchmark, kinds mixed, and more of some kinds.
 
     Args:
         number: how many.
-        only: the kind, or None for all of them.
+        more: how many of a kind there are to be, those of the mix counted.
         named: effects to hide in `effect` and `pair` cases; all of the vocabulary's
             if empty. Effects that the tested library does not know belong left out.
+
+    Raises:
+        KeyError: no such kind.
     """
     names = list(named) or list(NAMED)
     makers: dict[str, Iterator[CaseSpec]] = {
@@ -92,16 +99,20 @@ def plan(number: int, only: str | None = None, named: Sequence[str] = ()) -> lis
         "outside": _outside(),
         "noise": _noises(),
         "shift": _shifts(names),
+        "large": _large(names),
     }
-    if only is not None and only not in makers:
-        raise KeyError(f"no such kind of case: {only!r}; known: {list(makers)}")
+    more = dict(more or {})
+    if unknown := sorted(set(more) - set(makers)):
+        raise KeyError(f"no such kind of case: {unknown[0]!r}; known: {list(makers)}")
     # Of every 12: what is rare in one pass comes round in the next.
     turn = (
         "effect", "nothing", "effect", "outside", "effect", "parameters",
         "effect", "pair", "effect", "nothing", "noise", "shift",
     )  # fmt: skip
-    kinds = (only,) if only else turn
-    return [next(makers[kinds[i % len(kinds)]]) for i in range(number)]
+    kinds = [turn[i % len(turn)] for i in range(number)]
+    for kind, count_of in more.items():
+        kinds += [kind] * (count_of - kinds.count(kind))
+    return [next(makers[kind]) for kind in kinds]
 
 
 def _effects(names: Sequence[str]) -> Iterator[CaseSpec]:
@@ -111,6 +122,12 @@ def _effects(names: Sequence[str]) -> Iterator[CaseSpec]:
             size = SIZES[(i + j + 1) % len(SIZES)]
             case = f"effect-{name}-{size:g}-{i // len(SIZES)}"
             yield CaseSpec(case, "effect", {name: size})
+
+
+def _large(names: Sequence[str]) -> Iterator[CaseSpec]:
+    for i in count():
+        for name in names:
+            yield CaseSpec(f"large-{name}-{i}", "large", {name: LARGEST})
 
 
 def _pairs(names: Sequence[str]) -> Iterator[CaseSpec]:

@@ -7,8 +7,12 @@ two or three times a channel's noise on the logs of this benchmark. Sizes scale
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+LARGEST = math.inf
+"""The size that stands for the largest values that the field's literature names."""
 
 Values = dict[str, float]
 Effects = Mapping[str, Mapping[str, float]]
@@ -24,15 +28,19 @@ class Kind:
         inverse: parameters that fall with size.
         known: parameters of the rig that are known, and held at the value given (None:
             at the truth), because no log could tell the effect from them.
+        largest: parameters at the size `LARGEST`, where they are not those of size 3.
     """
 
     at_1: Values
     strengths: tuple[str, ...] = ()
     inverse: tuple[str, ...] = ()
     known: Mapping[str, float | None] = field(default_factory=dict)
+    largest: Mapping[str, float] = field(default_factory=dict)
 
     def scaled(self, size: float) -> Values:
         """Parameters at a size; at 0 the effect is absent."""
+        if size == LARGEST:
+            return self.scaled(3.0) | dict(self.largest)
         out = dict(self.at_1)
         for name in self.strengths:
             out[name] *= size
@@ -93,6 +101,36 @@ OUTSIDE: dict[str, Kind] = {
 }
 """Effects that no vocabulary here names."""
 
-ALL = NAMED | OUTSIDE
-
 SIZES = (0.3, 1.0, 3.0)
+
+_LARGEST: dict[str, Values] = {
+    "valve_bias": {"u_0": 0.3},
+    "valve_deadband": {"u_dbp": 1.0, "u_dbn": 0.6},
+    "valve_hysteresis": {"u_h": 0.15},
+    "valve_delay": {"tau_u": 2e-3},
+    "valve_lag": {"omega": 188.0, "zeta": 0.8},
+    "internal_leakage": {"c_il": 1e-11},
+    "external_leakage": {"c_el": 1e-12},
+    "supply_line_drop": {"k_s": 2e15},
+    "viscous_friction": {"b": 5000.0},
+    "stribeck": {"k_st": 800.0, "v_s": 1e-2},
+    "bristle_damping": {"sigma_1": 1e5},
+    "pressure_friction": {"a": 0.3},
+    "position_friction": {"a": 0.25, "wavelength": 0.05},
+    "friction_drift": {"a": 0.3, "tau": 40.0},
+    "payload_inertia": {"m": 20.0},
+    "gravity_load": {"w": 500.0},
+    "loadcell_lag": {"tau_F": 5e-3},
+    "loadcell_gain": {"eps": 0.08},
+    "pressure_sensor_lag": {"tau_P": 8e-3},
+    "underlap": {"u_ul": 0.2},
+    "dead_volume": {"V_0": 1e-4},
+    "frictional_lag": {"tau_h": 0.3},
+    "rod_compliance": {"k": 5e6},
+    "backlash": {"b": 1e-4},
+    "pressure_sensor_bias": {"b_1": 5e5, "b_2": -3e5},
+    "channel_skew": {"tau": 3e-3},
+}
+NAMED = {n: replace(k, largest=_LARGEST.get(n, {})) for n, k in NAMED.items()}
+
+ALL = NAMED | OUTSIDE

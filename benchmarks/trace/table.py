@@ -85,6 +85,8 @@ def _main(good: Sequence[Row]) -> str:
         ("the same where power is", share(strong, within_alias)),
         ("named exactly", share(effects, exact)),
         ("effect found under a shift", share(_shifted(good), within_alias)),
+        ("largest of the literature: named first", share(_of(good, "large"), top_1)),
+        ("the same: `explained`", share(_of(good, "large"), _explained)),
         ("pair: both named, nothing else", share(_of(good, "pair"), exact)),
         ("pair: at least one of both named", share(_of(good, "pair"), _one_of)),
         ("outside the vocabulary: `unknown`", share(_of(good, "outside"), _unknown)),
@@ -107,6 +109,10 @@ def _one_of(row: Row) -> bool:
 
 def _unknown(row: Row) -> bool:
     return row["verdict"] == "unknown"
+
+
+def _explained(row: Row) -> bool:
+    return row["verdict"] == "explained"
 
 
 def _unnamed(row: Row) -> bool:

@@ -141,7 +141,17 @@ class FrictionalLag(Effect):
     place = "velocity"
     needs = ("F",)
     betrayed_by = "a"
-    tau_h: Array = param("s", 0.0, 0.0, 0.3, "time constant", strength=True, size=5e-3)
+    tau_h: Array = param(
+        "s",
+        0.0,
+        0.0,
+        0.5,
+        "time constant",
+        strength=True,
+        size=5e-3,
+        least=1e-3,
+        grid=(0.03, 0.15),
+    )
 
     def follow(self, before: Array, now: Array, h: Array) -> tuple[Array, Array]:
         """The film's step as `w -> keep w + add`, exact for a speed along a line.
