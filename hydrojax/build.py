@@ -37,12 +37,13 @@ def make_effects(
 ) -> dict[str, Effect]:
     """The named effects, absent, in the order of the vocabulary.
 
-    `travel` (m) is the range of x in the logs, over which a profile is laid.
+    `travel` (m) is the range of x in the logs, over which a profile is laid unless
+    the file says between which ends.
     """
     wanted = set(names)
     known = {
-        "x_from": travel[0],
-        "x_to": travel[1],
+        "x_from": spec.geometry.get("x_from", travel[0]),
+        "x_to": spec.geometry.get("x_to", travel[1]),
         "radius": spec.geometry.get("radius", 1.0),
     }
     out = {}

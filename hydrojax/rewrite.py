@@ -22,6 +22,7 @@ def rewrite(
     added: Sequence[str] = (),
     controller: Mapping[str, object] | None = None,
     name: str = "",
+    travel: tuple[float, float] | None = None,
 ) -> str:
     """The text of a rig file in which some values are replaced.
 
@@ -35,6 +36,8 @@ def rewrite(
         added: effects that the file does not declare.
         controller: keys of [controller] to set, as a rig file writes them.
         name: a new name for the rig, if any.
+        travel: range of x (m) over which profiles are laid; written where an effect has
+            one and the file does not say.
     """
     document = tomlkit.parse(Path(spec.path).read_text(encoding="utf-8-sig"))
     if name:
@@ -52,6 +55,11 @@ def rewrite(
         effects = document.setdefault("effects", tomlkit.table(is_super_table=True))
         for effect in added:
             effects[effect] = _effect(effect, values, spec.command_unit)
+    laid = [EFFECTS[e].__dataclass_fields__ for e in (*spec.effects, *added)]
+    if travel and any("x_from" in fields for fields in laid):
+        geometry = document.setdefault("geometry", tomlkit.table())
+        for key, end in zip(("x_from", "x_to"), travel, strict=True):
+            geometry.setdefault(key, text(end, "m"))
     if controller:
         table = document.setdefault("controller", tomlkit.table())
         for key, value in controller.items():

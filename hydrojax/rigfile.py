@@ -24,6 +24,7 @@ ControllerValue = str | int | float | list[str | int | float]
 GEOMETRY = {
     "area": "m^2", "area_1": "m^2", "area_2": "m^2",
     "chamber_length": "m", "radius": "m", "x_mid": "m",
+    "x_from": "m", "x_to": "m",
 }  # fmt: skip
 """What [geometry] may hold, and the SI unit."""
 
@@ -63,7 +64,8 @@ class RigSpec:
     Attributes:
         name: the rig's, or the file's if it gives none.
         layout: "pull-pull", "differential", "single" or "driven-axis".
-        geometry: area, area_1, area_2 in m^2, chamber_length, radius, x_mid in m.
+        geometry: area, area_1, area_2 in m^2, chamber_length, radius, x_mid in m;
+            x_from and x_to in m, between which profiles along the stroke are laid.
         supply: P_s, P_r in Pa, for logs without these channels.
         sensors: standard deviation of the noise, by signal.
         load: F in N, if the load is known without a sensor; for closed-loop runs mass,
@@ -345,11 +347,17 @@ def _check(spec: RigSpec) -> None:
     positive = {"geometry": spec.geometry, "sensors": spec.sensors}
     for section, values in positive.items():
         for key, value in values.items():
-            if value <= 0.0 and key != "x_mid":
+            if value <= 0.0 and key not in ("x_mid", "x_from", "x_to"):
                 raise InputError(
                     f"{spec.path}: [{section}] {key} must be above 0, not {value:g}; "
                     "mend it"
                 )
+    ends = [spec.geometry.get(key) for key in ("x_from", "x_to")]
+    if ends != [None, None] and (None in ends or ends[0] >= ends[1]):
+        raise InputError(
+            f"{spec.path}: [geometry] x_from and x_to are the ends of a stretch, the "
+            "lower first; give both or neither"
+        )
     P_s, P_r = (spec.supply.get(key) for key in ("P_s", "P_r"))
     if P_s is not None and P_s <= (P_r or 0.0):
         raise InputError(

@@ -109,7 +109,7 @@ def friction_bounds(
         n: [_paper_unit(n, a), _paper_unit(n, b)]
         for n, a, b in zip(names, lower, upper, strict=True)
     }
-    file = rewrite(case.spec, state.named, controller=keys)
+    file = rewrite(case.spec, state.named, controller=keys, travel=case.fit.travel)
     return Bounds(box, fits, other_fits, ways, fitted, elsewhere, file)
 
 

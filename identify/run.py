@@ -345,7 +345,12 @@ def _outcome(command, case, state, base, began, compiled, tell, profile) -> Outc
     outcome = replace(
         outcome,
         loops=_loops(case, state),
-        rig_file=rewrite(case.spec, state.named, [a.name for a in state.added]),
+        rig_file=rewrite(
+            case.spec,
+            state.named,
+            [a.name for a in state.added],
+            travel=case.fit.travel,
+        ),
     )
     total = time.perf_counter() - began
     seconds = {"compile": compiled.seconds, "run": total - compiled.seconds}

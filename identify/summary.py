@@ -9,6 +9,7 @@ import numpy as np
 from ..effects import EFFECTS
 from ..named import parameter_specs
 from ..params import Spec
+from ..rigfile import SUPPLY
 from ..units import with_command
 from . import describe
 from .fit import Point
@@ -105,6 +106,14 @@ def _notes(case: Case) -> tuple[str, ...]:
     ignored = sorted({c for log in case.fit_logs for c in log.ignored})
     if ignored:
         notes.append(f"columns left alone: {', '.join(ignored)}")
+    logs = (*case.fit_logs, *case.check_logs)
+    for key, value in SUPPLY.items():
+        known = key in case.spec.supply or all(key in log.signals for log in logs)
+        if case.fit.driven_by == "u" and not known:
+            taken = f"{value / 1e6:g} MPa was taken; give it under [supply]"
+            notes.append(f"neither the logs nor the rig file have {key}: {taken}")
+    if any("v" in log.signals for log in logs):
+        notes.append("v is not used: speed is taken from the position")
     return tuple(notes)
 
 

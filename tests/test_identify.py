@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hydrojax.identify import prepare as prepare_room
-from hydrojax.identify import run, starts
+from hydrojax.identify import run, starts, summary
 from hydrojax.identify.columns import basis
 from hydrojax.identify.fit import fit
 from hydrojax.identify.measured import estimate_noise, motion_band, smooth
@@ -570,6 +570,19 @@ def test_smoothing_passes_what_is_slow_and_halves_at_the_cut(jitter):
 
 
 # -- the sense of motion --
+
+
+def test_what_was_taken_for_a_supply_that_nothing_gives_is_said(recorded, tmp_path):
+    case = recorded(SEED, {})
+    said = summary._notes(opened(case))
+    assert not any("was taken" in note for note in said)
+    # The logs have P_s of their own; nothing has P_r.
+    bare = edited(case, tmp_path, ("P_s", ""), ("P_r", ""), ("[supply]", ""))
+    (note,) = (n for n in summary._notes(opened(case, bare)) if "was taken" in n)
+    assert note == (
+        "neither the logs nor the rig file have P_r: 0.25 MPa was taken; give it under "
+        "[supply]"
+    )
 
 
 @pytest.mark.parametrize("sign", [1, -1])

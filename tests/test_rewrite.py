@@ -2,7 +2,8 @@
 
 import pytest
 
-from hydrojax.build import load_rig
+from hydrojax.build import load_rig, make_effects
+from hydrojax.errors import InputError
 from hydrojax.rewrite import rewrite
 
 RIG = """# mine
@@ -75,3 +76,25 @@ def test_controller_and_name(spec, tmp_path):
     assert new.name == "tuned"
     assert new.controller["k_p"] == "2 V/kN"
     assert new.controller["k_cp"] == ["0.5 kN", "1.5 kN"]
+
+
+def test_a_profile_keeps_the_travel_that_it_was_laid_over(spec, tmp_path):
+    """Under logs of another travel the same file means the same wave."""
+    values, added = {"position_friction.s_1": 0.3}, ("position_friction",)
+    text = rewrite(spec, values, added, travel=(-0.012, 0.031))
+    new = reread(tmp_path, text)
+    for travel in ((-0.012, 0.031), (-0.05, 0.05)):
+        effect = make_effects(added, new, travel)["position_friction"]
+        assert float(effect.x_from) == pytest.approx(-0.012)
+        assert float(effect.x_to) == pytest.approx(0.031)
+    # What the file says stays, and no other effect asks for it.
+    again = rewrite(new, {}, travel=(-1.0, 1.0))
+    assert again == text
+    plain = rewrite(spec, {}, ("internal_leakage",), travel=(-1.0, 1.0))
+    assert "x_from" not in plain
+
+
+def test_a_travel_with_one_end_or_turned_round_is_refused(tmp_path):
+    for ends in ('x_from = "1 cm"', 'x_from = "1 cm"\nx_to = "-1 cm"'):
+        with pytest.raises(InputError, match="x_from and x_to"):
+            reread(tmp_path, RIG.replace("[geometry]", f"[geometry]\n{ends}"))

@@ -25,6 +25,8 @@ CASES = {
     "internal_leakage": (4, {"internal_leakage": {}}),
     "stribeck": (6, {"stribeck": {}}),
     "force_ripple": (7, {"force_ripple": {"force": 60.0, "frequency": 13.0}}),
+    "late_film": (8, {"frictional_lag": {"tau_h": 0.15}}),
+    "wide_stribeck": (9, {"stribeck": {"k_st": 300.0, "v_s": 0.01}}),
 }
 """Seed and effects of each case."""
 
@@ -90,6 +92,21 @@ def test_an_effect_is_named_and_measured(traced, name):
         assert effect.after[key] == channel.after
     assert effect.p_value < 0.01
     assert name in outcome.sentence
+
+
+@pytest.mark.parametrize("name", ["late_film", "wide_stribeck"])
+def test_an_effect_is_named_that_lies_far_from_where_it_is_absent(traced, name):
+    """What a film does that comes 0.15 s late is not foreseen by its slope at none; and
+    a Stribeck curve as wide as the speeds in use is first taken for k_v.
+    """
+    outcome = traced(name)
+    ((truth, wanted),) = CASES[name][1].items()
+    assert [e.name for e in outcome.effects] == [truth]
+    assert outcome.verdict == "explained"
+    assert max(ratios(outcome).values()) < 1.1
+    for parameter, value in wanted.items():
+        found = outcome.effects[0].parameters[parameter]
+        assert found.value == pytest.approx(value, rel=0.15), parameter
 
 
 def test_leakage_is_seen_in_the_pressures_and_friction_in_the_force(traced):
