@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
+from .. import pages
 from ..files import write_all
+from ..pages import Picture
 from . import figures, residuals
 from .naming import p_text, quantity, words
 from .outcome import Effect, LoopCheck, Outcome, Parameter
@@ -101,21 +100,6 @@ def _strict(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure as PNG, with what stands below it and what is read in its place."""
-
-    name: str
-    png: bytes
-    alt: str
-    caption: str
-
-    @property
-    def data(self) -> str:
-        """The address that holds the picture itself."""
-        return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
 
 
 def pictures(outcome: Outcome) -> list[Picture]:
@@ -213,18 +197,12 @@ def _parameter_said(outcome: Outcome) -> tuple[str, str]:
 
 def page(outcome: Outcome, shown: Sequence[Picture]) -> str:
     """report.html, with its pictures inside."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    help_ = (quantity, change, remarks, times_noise, standing, share, listed)
-    environment.globals.update(
-        {f.__name__: f for f in help_}, words=words, p_text=p_text
-    )
-    return environment.get_template("report.html").render(
+    help_ = (
+        quantity, change, remarks, times_noise, standing, share, listed, words, p_text,
+    )  # fmt: skip
+    return pages.page(
+        Path(__file__).parent / "report.html",
+        help_,
         o=outcome,
         pictures={p.name: p for p in shown},
         ranking=figures.ranking(outcome),

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jinja2
 from matplotlib.figure import Figure
 
-from .. import rewrite
+from .. import pages, rewrite
 from ..build import load_rig
 from ..files import write_all
 from .outcome import Tuned
@@ -44,24 +42,25 @@ def write(t: Tuned, rig: Path, out: Path) -> None:
         rig: the file whose copy gets the gains; its comments stay.
         out: the folder.
     """
-    files, shown = {}, []
+    shown = []
     for name, (figure, alt, caption) in pictures(t).items():
         store = io.BytesIO()
         figure.savefig(store, format="png", dpi=110)
-        files[f"{name}.png"] = store.getvalue()
-        data = base64.b64encode(store.getvalue()).decode("ascii")
-        address = f"data:image/png;base64,{data}"
-        shown.append({"data": address, "alt": alt, "caption": caption})
+        shown.append(pages.Picture(name, store.getvalue(), alt, caption))
+    files = {f"{p.name}.png": p.png for p in shown}
     text = json.dumps(t.json(), indent=1, allow_nan=False)
     files["tune.json"] = (text + "\n").encode()
     files["rig.toml"] = with_gains(rig, t.gains, t.units).encode()
-    page = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined
-    ).from_string((Path(__file__).parent / "report.html").read_text(encoding="utf-8"))
-    said = page.render(
-        t=t, rows=table(t), pictures=shown, sentence=sentence(t), limit=limit(t),
-        show=show, ends=ends(t),
-    )  # fmt: skip
+    said = pages.page(
+        Path(__file__).parent / "report.html",
+        (show,),
+        t=t,
+        rows=table(t),
+        pictures=shown,
+        sentence=sentence(t),
+        limit=limit(t),
+        ends=ends(t),
+    )
     files["report.html"] = said.encode()
     write_all(out, files)
 

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
-from .. import controller, units
+from .. import controller, pages, units
 from ..files import write_all
 from ..identify.figures import png
 from ..identify.naming import p_text, quantity, words
-from ..identify.report import Picture
+from ..pages import Picture
 from ..rewrite import text
 from . import pictures, summary
 from .pictures import CROWD, ROW_NUMBER
@@ -146,17 +145,16 @@ def draw(store: Store, seen: Seen) -> list[Picture]:
 
 def page(seen: Seen, shown: Sequence[Picture], title: str) -> str:
     """fleet.html, with its pictures inside."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.globals.update(quantity=quantity, p_text=p_text, words=words)
     lines = controller_lines(seen.bounds) if seen.bounds else []
-    return environment.get_template("fleet.html").render(
-        s=seen, pictures=shown, title=title, lines=lines, far=FAR, listed=LISTED
+    return pages.page(
+        Path(__file__).parent / "fleet.html",
+        (quantity, p_text, words),
+        s=seen,
+        pictures=shown,
+        title=title,
+        lines=lines,
+        far=FAR,
+        listed=LISTED,
     )
 
 
