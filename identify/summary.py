@@ -215,6 +215,8 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
             why = "lowers the validation error most, beyond chance"
         elif what == "absent":
             why = "these logs would have shown it at a size that matters"
+        elif like := [a.name for a in state.added if name in a.cannot_tell_from]:
+            why = f"does as well as {like[0]}: these logs do not tell them apart"
         elif what == "cannot tell":
             why = "these logs would not show it at a size that matters"
         elif not why:

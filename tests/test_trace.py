@@ -27,6 +27,7 @@ CASES = {
     "force_ripple": (7, {"force_ripple": {"force": 60.0, "frequency": 13.0}}),
     "late_film": (8, {"frictional_lag": {"tau_h": 0.15}}),
     "wide_stribeck": (9, {"stribeck": {"k_st": 300.0, "v_s": 0.01}}),
+    "soft_rod": (23, {"rod_compliance": {"k": 5e6}}),
 }
 """Seed and effects of each case."""
 
@@ -94,10 +95,12 @@ def test_an_effect_is_named_and_measured(traced, name):
     assert name in outcome.sentence
 
 
-@pytest.mark.parametrize("name", ["late_film", "wide_stribeck"])
+@pytest.mark.parametrize("name", ["late_film", "wide_stribeck", "soft_rod"])
 def test_an_effect_is_named_that_lies_far_from_where_it_is_absent(traced, name):
     """What a film does that comes 0.15 s late is not foreseen by its slope at none; and
-    a Stribeck curve as wide as the speeds in use is first taken for k_v.
+    a Stribeck curve as wide as the speeds in use is first taken for k_v. A rod three
+    times softer than the oil hands the load cell's noise on, several times over, to a
+    model that lets it follow the measured force.
     """
     outcome = traced(name)
     ((truth, wanted),) = CASES[name][1].items()
@@ -165,7 +168,8 @@ def test_the_outcome_is_consistent_with_itself(traced, name):
         if c.status == "absent":
             assert c.power >= 0.8
         if c.status == "cannot tell":
-            assert c.power < 0.8
+            like = [e.name for e in outcome.effects if c.name in e.cannot_tell_from]
+            assert c.power < 0.8 or (like and like[0] in c.why)
     for channel in outcome.channels.values():
         assert channel.after <= 1.02 * channel.before
         if outcome.effects == ():
