@@ -27,6 +27,10 @@ from .measured import (
 PRE = 60
 """Ticks of command ahead of a window, for whatever on its path has memory."""
 
+COARSE, EACH = 40, 5
+"""Steps ahead of those, and their ticks: a spool that slews slowly remembers longer
+than it need be known tick by tick."""
+
 
 LEAD = 20
 """Ticks at the head of a window that are run but not compared."""
@@ -380,6 +384,25 @@ def _motion(segments: list[_Segment], h: float) -> Motion:
     return Motion(*(jnp.asarray(np.array(a)) for a in (dx, ticks, speed, v, F)))
 
 
+def _past(s: _Segment, first: int, pre: int) -> tuple[np.ndarray, np.ndarray]:
+    """The command ahead of a window, coarse and then tick by tick, and its steps, s.
+
+    Ahead of the segment the command is taken to have stood where it began.
+    """
+    coarse = COARSE if pre == PRE else 0
+    near = first - pre
+    edges = np.maximum(near - EACH * np.arange(coarse, -1, -1), 0)
+    t, u = s.t[edges[0] : near + 1], s.u[edges[0] : near]
+    spent = np.diff(s.t[edges])
+    course = np.r_[0.0, np.cumsum(u * np.diff(t))][edges - edges[0]]
+    known = spent > 0
+    usual = EACH * float(s.t[near + 1] - s.t[near])
+    mean = np.where(known, np.diff(course) / np.where(known, spent, 1.0), s.u[0])
+    h = np.where(known, spent, usual)
+    steps = np.diff(s.t[near : first + 1])
+    return np.r_[mean, s.u[near:first]], np.r_[h, steps]
+
+
 def _windows(
     segments: list[_Segment],
     cuts: list[tuple[int, int]],
@@ -394,18 +417,18 @@ def _windows(
     for k, first in cuts:
         s = segments[k]
         at = slice(first, first + lead + T)
-        back = slice(first - pre, first)
         t = s.t[at]
         h = np.append(np.diff(t), t[-1] - t[-2])
         fine = t[:-1, None] + h[:-1, None] * parts
         near = slice(max(first - 8, 0), first + 9)
         slope = np.polyfit(s.t[near] - t[0], s.P[near], 1)
         P_0.append(slope[1])
+        before, before_h = _past(s, first, pre)
         row = {
             "seg": k,
             "first": first,
-            "before": s.u[back],
-            "before_h": np.diff(s.t[first - pre : first + 1]),
+            "before": before,
+            "before_h": before_h,
             "u": s.u[at],
             "h": h,
             "P_s": s.P_s[at],

@@ -334,7 +334,9 @@ def _elsewhere(
 ) -> Iterator[np.ndarray]:
     """Other values from which to fit an effect, found as they are asked for."""
     problem, here = state.problem, state.point.values
+    start = _placed(problem, here, {n: problem.free[n].start for n in state.free})
     for name, value in _far(effect):
+        yield _placed(problem, start, {name: value})
         if s.shape.get(name) != value:
             yield _placed(problem, here, {name: value})
     if effect.place in ("sensor_P", "sensor_F"):

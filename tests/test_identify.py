@@ -602,6 +602,38 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
     assert not runs_backward(case.fit)
 
 
+def test_the_command_ahead_of_a_window_reaches_far_back(recorded):
+    """Coarse, then tick by tick, and with the same integral as the log's own."""
+    case = recorded(SEED, {})
+    data, log = opened(case).fit, read_log(case / "fit_1.csv")
+    w, u, h = data.windows, log.signals["u"], 1e-3
+    for i in (0, 5):
+        first, back = int(w.first[i]), prepare_room.COARSE * prepare_room.EACH
+        near = first - prepare_room.PRE
+        assert np.sum(w.before_h[i]) == pytest.approx((first - near + back) * h)
+        assert np.allclose(w.before[i, prepare_room.COARSE :], u[near:first])
+        got = np.sum(np.asarray(w.before[i] * w.before_h[i]))
+        assert got == pytest.approx(np.sum(u[near - back : first]) * h, abs=1e-9)
+
+
+def test_a_segment_that_begins_late_had_stood_still():
+    """Where a window's past reaches ahead of the log, the first command is held."""
+    t = np.arange(400) * 1e-3
+    u = np.where(t < 0.1, 2.0, -1.0)
+    zero = np.zeros(t.size)
+    line = prepare_room.interpolate.make_interp_spline(t, zero, k=1)
+    segment = prepare_room._Segment(
+        log=0, origin=0.0, t=t, place=line, v=zero, a=zero, u=u, P_s=zero, P_r=zero,
+        P=np.zeros((t.size, 2)), F=zero, calm=zero,
+    )  # fmt: skip
+    before, h = prepare_room._past(segment, 150, prepare_room.PRE)
+    assert before.size == h.size == prepare_room.COARSE + prepare_room.PRE
+    assert np.all(h > 0)
+    reach = np.cumsum(h[::-1])[::-1] - h  # from a step's end to the window
+    assert np.allclose(before[reach > 0.05], 2.0)
+    assert np.allclose(before[reach < 0.049], -1.0)
+
+
 def test_motion_under_a_command_is_never_turned(recorded):
     case = recorded(SEED)
     spec = load_rig(case / "rig.toml")
