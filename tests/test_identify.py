@@ -481,9 +481,16 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
     w = data.windows
     rows_of = np.asarray(w.u) * 1e3
     np.testing.assert_allclose(np.diff(rows_of, axis=1), 1.0, atol=1e-6)
-    np.testing.assert_allclose(np.diff(np.asarray(w.before), axis=1), 1e-3, atol=1e-9)
+    coarse, fine = np.split(np.asarray(w.before), [prepare_room.COARSE], axis=1)
+    np.testing.assert_allclose(np.diff(fine, axis=1), 1e-3, atol=1e-9)
+    # Five ticks' mean a step, and what stood at the segment's head ahead of it.
+    np.testing.assert_allclose(
+        fine[:, 0] - coarse[:, -1], 1e-3 * (prepare_room.EACH + 1) / 2, atol=1e-9
+    )
+    assert np.all(np.diff(coarse, axis=1) > -1e-9)
     np.testing.assert_allclose(w.h, 1e-3, atol=1e-9)
-    np.testing.assert_allclose(w.before_h, 1e-3, atol=1e-9)
+    step = np.repeat([5e-3, 1e-3], [coarse.shape[1], fine.shape[1]])
+    np.testing.assert_allclose(w.before_h, step[None] + 0 * w.before_h, atol=1e-9)
     np.testing.assert_allclose(np.asarray(w.u[:, 0] - w.before[:, -1]), 1e-3, atol=1e-9)
     for edge in holes:  # from the first row that a window remembers to its last
         first = np.asarray(w.before)[:, 0] * 1e3
