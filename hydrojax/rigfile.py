@@ -352,8 +352,8 @@ def _check(spec: RigSpec) -> None:
                     f"{spec.path}: [{section}] {key} must be above 0, not {value:g}; "
                     "mend it"
                 )
-    ends = [spec.geometry.get(key) for key in ("x_from", "x_to")]
-    if ends != [None, None] and (None in ends or ends[0] >= ends[1]):
+    ends = [spec.geometry[key] for key in ("x_from", "x_to") if key in spec.geometry]
+    if len(ends) == 1 or (ends and ends[0] >= ends[1]):
         raise InputError(
             f"{spec.path}: [geometry] x_from and x_to are the ends of a stretch, the "
             "lower first; give both or neither"

@@ -49,17 +49,20 @@ def followed(rig: Rig, batch: Batch, left: np.ndarray) -> tuple[Batch, float]:
     seg = np.asarray(w.seg)[:, None]
     at = seg, ticks[:, lead:]
     here, came = F[at], np.asarray(w.measured)[..., 2] - left[..., 2]
-    K, s_here = stiffness(rig, batch), np.asarray(rod.ahead(rig.stretch, here))
+    K, s_here = stiffness(rig, batch), _ahead(rig, here)
     low, high = np.minimum(here, came), np.maximum(here, came)
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        moved = np.asarray(rod.ahead(rig.stretch, middle)) - s_here
-        above = middle + K * moved > came
+        above = middle + K * (_ahead(rig, middle) - s_here) > came
         low, high = np.where(above, low, middle), np.where(above, middle, high)
     F[at] = (low + high) / 2
     windows = w._replace(F=F[seg, ticks])
     batch = batch._replace(motion=batch.motion._replace(F=F), windows=windows)
     return batch, float(np.sqrt(np.mean((came - here) ** 2)))
+
+
+def _ahead(rig: Rig, F: np.ndarray) -> np.ndarray:
+    return np.asarray(rod.ahead(rig.stretch, jnp.asarray(F)))
 
 
 def stiffness(rig: Rig, batch: Batch) -> float:

@@ -308,11 +308,10 @@ class Problem:
         noise = float(np.asarray(batch.noise)[2])
         felt = self.simulate and np.isfinite(noise)
         rig = stretched(self.model, values) if felt else None
-        for _ in range(ROUNDS if rig else 0):
+        off, rounds = np.inf, 0
+        while rig is not None and off > AGREED * noise and rounds < ROUNDS:
             batch, off = followed(rig, batch, left)
-            left = found(batch)[0]
-            if off < AGREED * noise:
-                break
+            left, rounds = found(batch)[0], rounds + 1
         return left
 
     def errors_at(self, values: np.ndarray) -> np.ndarray:
