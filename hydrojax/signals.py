@@ -135,13 +135,15 @@ def read_log(
         arrays, merged = _merge(arrays)
     if merged:
         notes.append(f"rows averaged, as they share a coarse time stamp: {merged}")
+    arrays, lost = _without_lone_holes(arrays)
+    notes += lost
     time = arrays.pop("time")
     stored.pop("time")
     segments, cuts = _segments(time, arrays, shortest)
     if not segments:
         raise InputError(
             f"{path}: no stretch of {shortest:g} s without a gap or a missing number "
-            f"({'; '.join(cuts) or f'it lasts {time[-1] - time[0]:g} s'}); log longer, "
+            f"({'; '.join(lost + cuts) or f'it lasts {time[-1] - time[0]:g} s'}); log longer, "
             "or take the column with the holes out"
         )
     name = path.absolute().name  # of "." too
@@ -308,17 +310,38 @@ def _merge(arrays: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:
     return merged | {"time": time}, len(arrays["time"]) - len(time)
 
 
+def _holed(signals: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Which rows lack a number that counts."""
+    holes = [np.isnan(y) for name, y in signals.items() if name not in ("time", "F_d")]
+    return np.any(holes, axis=0) if holes else np.zeros(1, dtype=bool)
+
+
+def _without_lone_holes(
+    arrays: dict[str, np.ndarray],
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """The rows less those that lack a number between two that do not: one tick is then
+    as long as two, where a cut would cost the second after it too. And what is missing.
+    """
+    notes = [
+        f"rows left out, as {name} is missing: {np.isnan(values).sum()}"
+        for name, values in arrays.items()
+        if name not in ("time", "F_d") and np.isnan(values).any()
+    ]
+    if not notes:
+        return arrays, notes
+    time, whole = arrays["time"], ~_holed(arrays)
+    near = time[2:] - time[:-2] <= _GAP * np.median(np.diff(time))
+    lone = np.zeros(len(time), dtype=bool)
+    lone[1:-1] = ~whole[1:-1] & whole[:-2] & whole[2:] & near
+    return {name: values[~lone] for name, values in arrays.items()}, notes
+
+
 def _segments(
     time: np.ndarray, signals: Mapping[str, np.ndarray], shortest: float
 ) -> tuple[tuple[tuple[int, int], ...], list[str]]:
     """Row ranges without gap or NaN that last `shortest` s; what was cut, in words."""
     notes = []
-    whole = np.ones(len(time), dtype=bool)
-    for name, values in signals.items():
-        holes = np.isnan(values)
-        if name != "F_d" and holes.any():
-            notes.append(f"rows left out, as {name} is missing: {holes.sum()}")
-            whole &= ~holes
+    whole = ~_holed(signals)
     steps = np.diff(time)
     gap = steps > _GAP * np.median(steps)
     if gap.any():

@@ -8,6 +8,8 @@ out itself, which takes a few rounds to agree with what it stretches.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -36,7 +38,25 @@ def stretched(model: Model, values: np.ndarray) -> Rig | None:
     return rig if np.any(np.asarray(rod.ahead(rig.stretch, probe))) else None
 
 
-def followed(rig: Rig, batch: Batch, left: np.ndarray) -> tuple[Batch, float]:
+def agreed(
+    rig: Rig,
+    batch: Batch,
+    left: np.ndarray,
+    replayed: Callable[[Batch], np.ndarray],
+) -> np.ndarray:
+    """Measured less replayed, [W, T, 3], once force and stretch agree.
+
+    `left` is that under the batch's own force, `replayed` gives it under another one.
+    """
+    noise = float(np.asarray(batch.noise)[2])
+    off, rounds = np.inf, 0
+    while np.isfinite(noise) and off > AGREED * noise and rounds < ROUNDS:
+        batch, off = _followed(rig, batch, left)
+        left, rounds = replayed(batch), rounds + 1
+    return left
+
+
+def _followed(rig: Rig, batch: Batch, left: np.ndarray) -> tuple[Batch, float]:
     """The batch with its stretching force brought nearer to the one that came of it.
 
     `left` [W, T, 3] is measured less replayed. Returns by how much force and stretch
@@ -49,7 +69,7 @@ def followed(rig: Rig, batch: Batch, left: np.ndarray) -> tuple[Batch, float]:
     seg = np.asarray(w.seg)[:, None]
     at = seg, ticks[:, lead:]
     here, came = F[at], np.asarray(w.measured)[..., 2] - left[..., 2]
-    K, s_here = stiffness(rig, batch), _ahead(rig, here)
+    K, s_here = _stiffness(rig, batch), _ahead(rig, here)
     low, high = np.minimum(here, came), np.maximum(here, came)
     for _ in range(HALVINGS):
         middle = (low + high) / 2
@@ -65,7 +85,7 @@ def _ahead(rig: Rig, F: np.ndarray) -> np.ndarray:
     return np.asarray(rod.ahead(rig.stretch, jnp.asarray(F)))
 
 
-def stiffness(rig: Rig, batch: Batch) -> float:
+def _stiffness(rig: Rig, batch: Batch) -> float:
     """Force (N) by which oil and bristle answer a metre of the piston, at most."""
     w = batch.windows
     x = jnp.asarray([np.min(w.x), np.max(w.x)])

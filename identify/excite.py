@@ -33,8 +33,8 @@ from ..simulation import PARTS
 from ..units import with_command
 from .columns import Batch, Model, basis, slot_names
 from .misfit import sums
-from .prepare import LEAD, PRE, QUARTERS
 from .problem import Free, free_parameters
+from .windows import LEAD, PRE, QUARTERS
 
 FORCE_HZ = (0.1, 0.23, 0.5, 1.1, 2.3, 4.7, 9.0, 16.0, 27.0, 45.0)
 MOTION_HZ = (0.07, 0.13, 0.23, 0.41, 0.73, 1.3, 2.3)

@@ -19,8 +19,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from .judge import AT_NOISE
 from .naming import engineering, p_text, symbol, words
-from .trace import AT_NOISE
 
 if TYPE_CHECKING:
     from .outcome import Candidate, Outcome, Parameter

@@ -17,7 +17,7 @@ from ..params import Spec
 from ..rig import Rig
 from ..rigfile import RigSpec
 from .columns import Basis, Batch, Model, basis, slot_names
-from .coupled import AGREED, ROUNDS, followed, stretched
+from .coupled import agreed, stretched
 from .misfit import Sums, leftover, sums
 from .prepare import Data
 from .solve import Fit, minimise
@@ -305,14 +305,10 @@ class Problem:
 
         batch = batch._replace(P_0=batch.P_0 - found(batch)[1])
         left = found(batch)[0]
-        noise = float(np.asarray(batch.noise)[2])
-        felt = self.simulate and np.isfinite(noise)
-        rig = stretched(self.model, values) if felt else None
-        off, rounds = np.inf, 0
-        while rig is not None and off > AGREED * noise and rounds < ROUNDS:
-            batch, off = followed(rig, batch, left)
-            left, rounds = found(batch)[0], rounds + 1
-        return left
+        if not self.simulate:
+            return left
+        rig = stretched(self.model, values)
+        return left if rig is None else agreed(rig, batch, left, lambda b: found(b)[0])
 
     def errors_at(self, values: np.ndarray) -> np.ndarray:
         """Squared residuals by window and channel, [W, 3], SI."""

@@ -13,6 +13,7 @@ from .. import pages
 from ..files import write_all
 from ..pages import Picture
 from . import figures, residuals
+from .judge import AT_NOISE
 from .naming import p_text, quantity, words
 from .outcome import Effect, LoopCheck, Outcome, Parameter
 from .scope import scope
@@ -26,7 +27,6 @@ from .show import (
     standing,
     times_noise,
 )
-from .trace import AT_NOISE
 
 FORMAT = "hydrojax-report/1"
 

@@ -27,8 +27,9 @@ from .prepare import Data, prepare, runs_backward
 from .problem import COULOMB, Free, Problem, free_effect, free_parameters
 from .profile import profiles
 from .starts import best_start
+from .state import Tracing
 from .summary import summarise
-from .trace import Tracing, trace
+from .trace import trace
 from .uncertainty import Belief, believe
 
 Tell = Callable[[str], None]

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from .. import markup
 from ..errors import InputError
 from . import figures, residuals
+from .judge import AT_NOISE
 from .naming import p_text, quantity, words
-from .trace import AT_NOISE
 
 if TYPE_CHECKING:
     from .outcome import Channel, Outcome, Parameter

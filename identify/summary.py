@@ -13,6 +13,7 @@ from ..rigfile import SUPPLY
 from ..units import with_command
 from . import describe
 from .fit import Point
+from .judge import AT_NOISE
 from .measured import CHANNELS
 from .outcome import (
     Candidate,
@@ -26,7 +27,8 @@ from .outcome import (
 )
 from .prepare import Data
 from .score import family
-from .trace import AT_NOISE, Tracing, status
+from .state import Tracing
+from .trace import status
 from .uncertainty import Belief
 from .unshown import unshown
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from .judge import AT_NOISE
 from .problem import Known
-from .trace import AT_NOISE, Tracing
+from .state import Tracing
 from .uncertainty import curvature
 
 NEEDED = 0.1

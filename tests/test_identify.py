@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hydrojax.identify import prepare as prepare_room
-from hydrojax.identify import run, starts, summary
+from hydrojax.identify import run, segments, starts, summary, windows
 from hydrojax.identify.columns import basis
 from hydrojax.identify.fit import fit
 from hydrojax.identify.measured import estimate_noise, motion_band, smooth
@@ -25,7 +25,7 @@ from hydrojax.identify.problem import Problem, free_parameters
 from hydrojax.identify.solve import minimise
 from hydrojax.identify.uncertainty import believe
 from scipy import optimize
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from hydrojax.build import load_rig, make_rig
 from hydrojax.replay import friction_memory
@@ -481,11 +481,11 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
     w = data.windows
     rows_of = np.asarray(w.u) * 1e3
     np.testing.assert_allclose(np.diff(rows_of, axis=1), 1.0, atol=1e-6)
-    coarse, fine = np.split(np.asarray(w.before), [prepare_room.COARSE], axis=1)
+    coarse, fine = np.split(np.asarray(w.before), [windows.COARSE], axis=1)
     np.testing.assert_allclose(np.diff(fine, axis=1), 1e-3, atol=1e-9)
     # Five ticks' mean a step, and what stood at the segment's head ahead of it.
     np.testing.assert_allclose(
-        fine[:, 0] - coarse[:, -1], 1e-3 * (prepare_room.EACH + 1) / 2, atol=1e-9
+        fine[:, 0] - coarse[:, -1], 1e-3 * (windows.EACH + 1) / 2, atol=1e-9
     )
     assert np.all(np.diff(coarse, axis=1) > -1e-9)
     np.testing.assert_allclose(w.h, 1e-3, atol=1e-9)
@@ -512,7 +512,7 @@ def test_runs_of_a_long_log_are_what_the_whole_gives(recorded, monkeypatch):
     whole = prepare((log,), spec)
     ticks = whole.windows.u.shape[1]
     monkeypatch.setattr(prepare_room, "MOST_TICKS", 40 * ticks)
-    monkeypatch.setattr(prepare_room, "RUN", 8)
+    monkeypatch.setattr(windows, "RUN", 8)
     some = prepare((log,), spec)
     count, every = len(some.P_0), len(whole.P_0)
     assert 32 <= count <= 40 < 100 < every
@@ -615,10 +615,10 @@ def test_the_command_ahead_of_a_window_reaches_far_back(recorded):
     data, log = opened(case).fit, read_log(case / "fit_1.csv")
     w, u, h = data.windows, log.signals["u"], 1e-3
     for i in (0, 5):
-        first, back = int(w.first[i]), prepare_room.COARSE * prepare_room.EACH
-        near = first - prepare_room.PRE
+        first, back = int(w.first[i]), windows.COARSE * windows.EACH
+        near = first - windows.PRE
         assert np.sum(w.before_h[i]) == pytest.approx((first - near + back) * h)
-        assert np.allclose(w.before[i, prepare_room.COARSE :], u[near:first])
+        assert np.allclose(w.before[i, windows.COARSE :], u[near:first])
         got = np.sum(np.asarray(w.before[i] * w.before_h[i]))
         assert got == pytest.approx(np.sum(u[near - back : first]) * h, abs=1e-9)
 
@@ -628,13 +628,13 @@ def test_a_segment_that_begins_late_had_stood_still():
     t = np.arange(400) * 1e-3
     u = np.where(t < 0.1, 2.0, -1.0)
     zero = np.zeros(t.size)
-    line = prepare_room.interpolate.make_interp_spline(t, zero, k=1)
-    segment = prepare_room._Segment(
+    line = make_interp_spline(t, zero, k=1)
+    segment = segments.Segment(
         log=0, origin=0.0, t=t, place=line, v=zero, a=zero, u=u, P_s=zero, P_r=zero,
         P=np.zeros((t.size, 2)), F=zero, calm=zero,
     )  # fmt: skip
-    before, h = prepare_room._past(segment, 150, prepare_room.PRE)
-    assert before.size == h.size == prepare_room.COARSE + prepare_room.PRE
+    before, h = windows._past(segment, 150, windows.PRE)
+    assert before.size == h.size == windows.COARSE + windows.PRE
     assert np.all(h > 0)
     reach = np.cumsum(h[::-1])[::-1] - h  # from a step's end to the window
     assert np.allclose(before[reach > 0.05], 2.0)

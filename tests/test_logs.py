@@ -203,12 +203,26 @@ def test_supply_return_velocity_and_desired_force_may_rest(tmp_path: Path) -> No
 
 def test_nan_and_inf_cut(tmp_path: Path) -> None:
     force = a_run()["F [kN]"]
-    force[700:710], force[1400] = np.nan, np.inf
+    force[700:710], force[1400:1402] = np.nan, np.inf
     log = read_log(edited(tmp_path, F=force))
-    assert log.segments == ((0, 700), (710, 1400), (1401, 2000))
+    assert log.segments == ((0, 700), (710, 1400), (1402, 2000))
     assert np.isnan(log.signals["F"][[700, 709, 1400]]).all()
-    assert any("F is missing: 11" in note for note in log.notes)
+    assert any("F is missing: 12" in note for note in log.notes)
     assert len(log.time) == 2000
+
+
+def test_a_lone_hole_costs_its_row(tmp_path: Path) -> None:
+    """One tick is then as long as two; where that would be a gap, the hole cuts."""
+    run = a_run()
+    force, pressure, time = (run[n] for n in ("F [kN]", "P_a1 [bar]", "time [s]"))
+    force[[300, 1400]], pressure[[301, 900]] = np.nan, np.nan
+    time[1400:] += 0.6e-3
+    log = read_log(edited(tmp_path, F=force, P_a1=pressure, time=time))
+    whole = np.delete(np.arange(2000), 900)
+    np.testing.assert_array_equal(log.time, time[whole])
+    assert log.segments == ((302, 1399), (1400, 1999))  # under 0.5 s before 300
+    assert any("F is missing: 2" in note for note in log.notes)
+    assert any("P_a1 is missing: 2" in note for note in log.notes)
 
 
 def test_desired_force_and_ignored_columns_do_not_cut(tmp_path: Path) -> None:
@@ -233,8 +247,8 @@ def test_gap_in_time_cuts_and_short_pieces_go(tmp_path: Path) -> None:
 
 def test_no_segment_left(tmp_path: Path) -> None:
     force = a_run()["F [kN]"]
-    force[::400] = np.nan
-    refusal(edited(tmp_path, F=force), "no stretch of 0.5 s", "F is missing: 5")
+    force[::400] = force[1::400] = np.nan
+    refusal(edited(tmp_path, F=force), "no stretch of 0.5 s", "F is missing: 10")
 
 
 def coarse_run(seed: int = 0) -> dict[str, np.ndarray]:
