@@ -130,6 +130,8 @@ def spoil(table: Table, r: random.Random) -> None:
         ("rest", "scale", "turn", "noise", "stuck", "spikes", "steps", "late")
     )
     i, n = r.randrange(len(y)), len(y)
+    known = y[np.isfinite(y)]
+    scatter = float(np.std(known)) if known.size else 0.0
     if kind == "rest":
         y[:] = y[i]
     elif kind == "scale":
@@ -137,13 +139,13 @@ def spoil(table: Table, r: random.Random) -> None:
     elif kind == "turn":
         y = -y
     elif kind == "noise":
-        y = y + np.random.default_rng(i).normal(size=n) * (np.nanstd(y) + 1e-9)
+        y = y + np.random.default_rng(i).normal(size=n) * (scatter + 1e-9)
     elif kind == "stuck":
         y[i:] = y[i]
     elif kind == "spikes":
-        y[:: max(n // r.choice((3, 30)), 1)] += r.choice((-1, 1)) * 1e3 * np.nanstd(y)
+        y[:: max(n // r.choice((3, 30)), 1)] += r.choice((-1, 1)) * 1e3 * scatter
     elif kind == "steps":
-        step = np.nanstd(y) + 1e-9
+        step = scatter + 1e-9
         y = np.round(y / step) * step
     else:
         y = np.roll(y, r.choice((-40, 40)))
