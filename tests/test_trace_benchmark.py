@@ -33,11 +33,12 @@ def lane(effects=None, style="fit_1", seed=5, **more):
 # -- the plant --
 
 
-def test_plant_agrees_with_a_stiff_solver():
+@pytest.mark.parametrize("layout", ["pull-pull", "differential"])
+def test_plant_agrees_with_a_stiff_solver(layout):
     """One lane, the valve held open, against the equations written out again."""
-    r, opening, seconds, line = RIG, 1.3, 0.05, 14e6
+    r, opening, seconds, line = cases.draw_rig(5, layout), 1.3, 0.05, 14e6
     x_0, P_0 = 2e-3, np.array([6.5e6, 7e6])
-    one = plant.Plant([lane()], STEP)
+    one = plant.Plant([plant.Lane(r, r)], STEP)
     one.start(np.array([x_0]), np.array([0.0]), P_0[:, None])
     K, D, M = one.K, one.D, plant.MASS
     one.z, one.slow = np.array([2e-5]), np.array([1e-3])
@@ -53,7 +54,7 @@ def test_plant_agrees_with_a_stiff_solver():
         level = r["k_cp"] if z > 0 else r["k_cn"]
         f_c = level * z / r["z_ss"] + r["k_0"] - (r["k_vp"] if v > 0 else r["k_vn"]) * v
         ell = 1 / (1 + (300 * slow) ** 3)
-        net = r["area"] * (p_2 - p_1) - (1 - ell) * f_c
+        net = r["area_2"] * p_2 - r["area_1"] * p_1 - (1 - ell) * f_c
         k_f, F = (r["k_fp"] if net > 0 else r["k_fn"]) * ell, net
         for _ in range(200):  # the implicit law itself, not its closed root
             F = net / (1 + k_f / (1 + r["delta"] * abs(F)))
@@ -70,8 +71,8 @@ def test_plant_agrees_with_a_stiff_solver():
         return [
             v,
             (F + servo) / M,
-            r["beta"] * (q_1 / r["area"] + v) / x_1,
-            r["beta"] * (q_2 / r["area"] - v) / x_2,
+            r["beta"] * (q_1 / r["area_1"] + v) / x_1,
+            r["beta"] * (q_2 / r["area_2"] - v) / x_2,
             v - abs(v) * z / r["z_ss"],
             10 * (abs(v) - slow),
         ]
@@ -95,7 +96,8 @@ def test_flow_laws_have_their_closed_forms():
         g = one.conductances(0.0, np.asarray(edges, float)[..., None])
         return one.pressure_rates(P, line, np.zeros(1), np.zeros(1), g)[:, 0]
 
-    volume = RIG["area"] * (0.1 + np.array([RIG["delta_1"], RIG["delta_2"]]))
+    areas = np.array([RIG["area_1"], RIG["area_2"]])
+    volume = areas * (0.1 + np.array([RIG["delta_1"], RIG["delta_2"]]))
     stiff = RIG["beta"] / volume
     shut, up = np.zeros((2, 2)), [[u, 0], [0, u]]
     leak = rates({"internal_leakage": {"c_il": 1e-12}}, shut)

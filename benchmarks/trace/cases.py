@@ -4,8 +4,9 @@ A case's name says what it is, and seeds it: the same name is the same case. Kin
 `nothing` (the declared model is whole), `parameters` (whole, but the rig file starts
 far off), `effect` (one hidden effect at 0.3, 1 or 3 times a size that matters), `pair`
 (two), `outside` (one that no vocabulary names), `noise` (nothing but unusual sensor
-noise), `shift` (another load mass and supply pressure on the validation log) and
-`large` (one effect as large as the field's literature has it; not in the mix).
+noise), `shift` (another load mass and supply pressure on the validation log). Not in
+the mix: `large` (one effect as large as the field's literature has it), `differential`
+(a cylinder with its rod on one side, with one effect or nothing).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from .plant import MASS, Lane
 from .record import Log, record
 
 MIXED = ("nothing", "parameters", "effect", "pair", "outside", "noise", "shift")
-KINDS = (*MIXED, "large")
+KINDS = (*MIXED, "large", "differential")
 LOGS = tuple(f"{style}.csv" for style in STYLES)
 
 RANGES = {  # name: (unit, lower end, upper end)
@@ -43,6 +44,7 @@ COLUMNS = {  # signal: (unit, SI value of it, format)
     "time": ("s", 1.0, "%.3f"),
     "u": ("V", 1.0, "%.6f"),
     "psi": ("rad", 1.0, "%.9f"),
+    "x": ("mm", 1e-3, "%.7f"),
     **{p: ("bar", 1e5, "%.5f") for p in ("P_a1", "P_a2", "P_s")},
     **{f: ("N", 1.0, "%.4f") for f in ("F", "F_d")},
 }
@@ -58,6 +60,7 @@ class CaseSpec:
         noise: the sensors' kind of noise.
         shifted: another load mass and supply pressure on the validation log.
         error: how far the rig file's starts may be off, relative.
+        layout: of the cylinder, as the rig file has it.
     """
 
     name: str
@@ -66,6 +69,7 @@ class CaseSpec:
     noise: str = "white"
     shifted: bool = False
     error: float = 0.1
+    layout: str = "pull-pull"
 
     @property
     def seed(self) -> int:
@@ -100,6 +104,7 @@ def plan(
         "noise": _noises(),
         "shift": _shifts(names),
         "large": _large(names),
+        "differential": _differential(names),
     }
     more = dict(more or {})
     if unknown := sorted(set(more) - set(makers)):
@@ -128,6 +133,18 @@ def _large(names: Sequence[str]) -> Iterator[CaseSpec]:
     for i in count():
         for name in names:
             yield CaseSpec(f"large-{name}-{i}", "large", {name: LARGEST})
+
+
+def _differential(names: Sequence[str]) -> Iterator[CaseSpec]:
+    """Nothing missing and one effect by turns."""
+    for i in count():
+        for j, name in enumerate(names):
+            number = i * len(names) + j
+            for case, effects in (
+                (f"differential-nothing-{number}", {}),
+                (f"differential-{name}-{i}", {name: 1.0}),
+            ):
+                yield CaseSpec(case, "differential", effects, layout="differential")
 
 
 def _pairs(names: Sequence[str]) -> Iterator[CaseSpec]:
@@ -163,7 +180,7 @@ def _shifts(names: Sequence[str]) -> Iterator[CaseSpec]:
 # -- from a case to files --
 
 
-def draw_rig(seed: int) -> dict[str, float]:
+def draw_rig(seed: int, layout: str = "pull-pull") -> dict[str, float]:
     """True values, SI, of a random rig near the paper's."""
     rng = np.random.default_rng([seed, 0])
     spans = {
@@ -177,7 +194,11 @@ def draw_rig(seed: int) -> dict[str, float]:
         "delta": (1 / 1100, 1 / 700),
     }
     lands = 2.2e-9 * rng.uniform(0.85, 1.2) * np.exp(rng.uniform(-0.12, 0.12, 4))
-    fixed = {"area": 1.18e-3, "chamber_length": 0.2, "radius": 0.085, "P_r": 2.5e5}
+    area = 1.18e-3
+    fixed = {"area_1": area, "area_2": area}
+    if layout == "differential":
+        fixed["area_1"] = area * float(rng.uniform(0.55, 0.85))
+    fixed |= {"chamber_length": 0.2, "radius": 0.085, "P_r": 2.5e5}
     edges = dict(zip(("c_p1", "c_n1", "c_p2", "c_n2"), lands.tolist(), strict=True))
     return fixed | edges | {n: float(rng.uniform(*s)) for n, s in spans.items()}
 
@@ -192,7 +213,7 @@ def nominal_rig(rig: Mapping[str, float], seed: int, error: float) -> dict[str, 
 
 def lanes_of(spec: CaseSpec) -> tuple[list[Lane], dict]:
     """The case's three lanes, and the truth that goes to truth.json."""
-    rig = draw_rig(spec.seed)
+    rig = draw_rig(spec.seed, spec.layout)
     nominal = nominal_rig(rig, spec.seed, spec.error)
     effects = {n: ALL[n].scaled(size) for n, size in spec.effects.items()}
     held = {}
@@ -223,6 +244,7 @@ def lanes_of(spec: CaseSpec) -> tuple[list[Lane], dict]:
         "sizes": dict(spec.effects),
         "noise": spec.noise,
         "shifted": spec.shifted,
+        "layout": spec.layout,
         "rig": {n: v for n, v in rig.items() if n in RANGES},
         "effects": effects,
         "held": held,
@@ -234,11 +256,17 @@ def lanes_of(spec: CaseSpec) -> tuple[list[Lane], dict]:
 def rig_file(name: str, truth: Mapping, extra: str = "") -> str:
     """The rig file of a case, TOML; `extra` is appended (declared effects)."""
     nominal = truth["start"]
+    geometry = {
+        "pull-pull": {"area": "area_1", "radius": "radius"},
+        "differential": {"area_1": "area_1", "area_2": "area_2"},
+    }[truth["layout"]]
+    geometry |= {"chamber_length": "chamber_length"}
     lines = [
-        f'name = "{name}"\nlayout = "pull-pull"\n\n[geometry]',
-        f'area = "{nominal["area"]} m^2"',
-        f'chamber_length = "{nominal["chamber_length"]} m"',
-        f'radius = "{nominal["radius"]} m"',
+        f'name = "{name}"\nlayout = "{truth["layout"]}"\n\n[geometry]',
+        *(
+            f'{key} = "{nominal[n]} {"m^2" if "area" in key else "m"}"'
+            for key, n in geometry.items()
+        ),
         f'\n[supply]\nP_s = "1.4e+07 Pa"\nP_r = "{nominal["P_r"]:g} Pa"',
         "\n[sensors]",
         *(f'{c} = "{NOISE[c]:g} {"N" if c == "F" else "Pa"}"' for c in NOISE),
@@ -256,9 +284,10 @@ def rig_file(name: str, truth: Mapping, extra: str = "") -> str:
 
 def write_log(path: Path, log: Log) -> None:
     """The log as CSV, in the units of COLUMNS."""
-    header = ",".join(f"{name} [{unit}]" for name, (unit, *_) in COLUMNS.items())
-    table = np.column_stack([log[n] / size for n, (_, size, _) in COLUMNS.items()])
-    formats = [form for *_, form in COLUMNS.values()]
+    columns = {n: column for n, column in COLUMNS.items() if n in log}
+    header = ",".join(f"{name} [{unit}]" for name, (unit, *_) in columns.items())
+    table = np.column_stack([log[n] / size for n, (_, size, _) in columns.items()])
+    formats = [form for *_, form in columns.values()]
     np.savetxt(path, table, formats, ",", header=header, comments="")
 
 
@@ -297,6 +326,9 @@ def write_cases(
             text = rig_file(spec.name, truth, declare(list(spec.effects)))
             (place / "oracle.toml").write_text(text)
         for file, log in zip(LOGS, own, strict=True):
+            if spec.layout == "differential":  # its sensor is along the stroke
+                log = log | {"x": truth["start"]["radius"] * log["psi"]}
+                del log["psi"]
             write_log(place / file, log)
         # Last: a folder with its truth is a whole one.
         (place / "truth.json").write_text(json.dumps(truth, indent=2) + "\n")

@@ -36,11 +36,12 @@ class ForceLoop:
         self.x = x
         x_1 = r["chamber_length"] / 2 + r["delta_1"] - x
         x_2 = r["chamber_length"] / 2 + r["delta_2"] + x
-        drive = r["area"] * (P_2 - P_1)
+        drive = r["area_2"] * P_2 - r["area_1"] * P_1
         self.drag += 0.05 * (drive - force - self.drag)
         volts = K_P * (wanted + self.drag - drive) + K_F * (wanted - force)
         # Only the load's motion is fed forward: F's rate in pressure is A beta (...).
-        goal = wanted_rate / r["beta"] + r["area"] * self.v * (1 / x_1 + 1 / x_2)
+        swept = r["area_1"] / x_1 + r["area_2"] / x_2
+        goal = wanted_rate / r["beta"] + self.v * swept
         goal = goal + KAPPA * volts
 
         def root(drop):

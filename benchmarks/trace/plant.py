@@ -67,8 +67,9 @@ class Plant:
         self.c = np.array([[r["c_p1"], r["c_p2"]], [r["c_n1"], r["c_n2"]]])
         offsets = np.array([r["delta_1"], r["delta_2"]])
         spare = e("dead_volume", "V_0")
-        self.volume = r["area"] * (r["chamber_length"] / 2 + offsets) + spare
-        self.toward = np.array([-r["area"], r["area"]])  # dV/dx
+        self.area = np.array([r["area_1"], r["area_2"]])
+        self.volume = self.area * (r["chamber_length"] / 2 + offsets) + spare
+        self.toward = self.area * np.array([[-1.0], [1.0]])  # dV/dx
         self.core = np.maximum(e("orifice_transition", "dP_t"), 1.0) ** 2
         losses = e("supply_line_drop", "k_s"), e("return_surge", "k_r")
         self.loss = np.array(losses)[:, None]
@@ -173,7 +174,7 @@ class Plant:
         e, r = self.e, self.r
         f_c = self.sliding(t, self.x_p, self.v_p, self.P, P_s)
         ell = 1 / (1 + (L_SLOPE * self.slow) ** 3)
-        net = r["area"] * (self.P[1] - self.P[0]) - (1 - ell) * f_c
+        net = (self.toward * self.P).sum(0) - (1 - ell) * f_c
         push = np.where(net > 0, r["k_fp"], r["k_fn"]) * ell
         size = np.abs(net)
         half = 1 + push - r["delta"] * size

@@ -66,7 +66,7 @@ def _record(lanes, seconds, substeps, tell, ahead) -> list[Log]:
     plant.start(
         path[0] + wanted[0] / plant.K,
         path_v[0],
-        np.stack([half, half + first / r["area"]]),
+        np.stack([half, (first + r["area_1"] * half) / r["area_2"]]),
     )
     cell, a, a_p = plant.forces(0.0, other[0], P_s[0], servo[0])
     sensors.start(np.stack([*plant.P, cell]))
