@@ -73,6 +73,35 @@ def _has_wide_vectors() -> bool:
         return False
 
 
+MAPPED = 0.5
+"""Share of the kernel's limit of memory mappings from which programs are let go."""
+
+
+def make_room(share: float = MAPPED) -> bool:
+    """Let go of compiled programs before the process has as many as the kernel allows.
+
+    XLA maps the parts of a program into memory one by one, some 2300 for a fit. Linux
+    gives a process 65,530 mappings (`vm.max_map_count`), and XLA dies where there are
+    no more: after fits of some thirty rigs that differ in structure. What is let go
+    and needed again comes from the cache on disk, or is compiled again.
+
+    Returns:
+        Whether anything was let go; never where the system does not say what it allows.
+    """
+    try:
+        allowed = int(Path("/proc/sys/vm/max_map_count").read_text())
+        with open("/proc/self/maps", "rb") as lines:
+            mapped = sum(1 for _ in lines)
+    except (OSError, ValueError):
+        return False
+    if mapped < share * allowed:
+        return False
+    import jax
+
+    jax.clear_caches()
+    return True
+
+
 def bucket(count: int, least: int = 8) -> int:
     """The size that an axis of `count` is filled up to: four to an octave, so that few
     programs serve logs of every length.

@@ -141,10 +141,10 @@ def read_log(
     stored.pop("time")
     segments, cuts = _segments(time, arrays, shortest)
     if not segments:
+        why = "; ".join(lost + cuts) or f"it lasts {time[-1] - time[0]:g} s"
         raise InputError(
             f"{path}: no stretch of {shortest:g} s without a gap or a missing number "
-            f"({'; '.join(lost + cuts) or f'it lasts {time[-1] - time[0]:g} s'}); log longer, "
-            "or take the column with the holes out"
+            f"({why}); log longer, or take the column with the holes out"
         )
     name = path.absolute().name  # of "." too
     return Log(name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts))

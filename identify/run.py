@@ -12,6 +12,7 @@ from typing import ClassVar
 import jax
 import numpy as np
 
+from ..backend import make_room
 from ..build import load_rig, make_effects, make_rig
 from ..channels import QUEUE
 from ..effects import EFFECTS
@@ -70,6 +71,7 @@ def open_case(
             "identification needs double precision: before anything else write "
             'jax.config.update("jax_enable_x64", True)'
         )
+    make_room()
     spec = load_rig(rig)
     if not logs:
         raise InputError(f"{rig}: no log to fit: name at least one")

@@ -107,3 +107,19 @@ def test_logs_of_another_length_and_rig_compile_nothing(recorded, tmp_path, comp
     compiled.clear()
     run.identify(cut(recorded(6), tmp_path / "other", 450), starts=1)
     assert compiled == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_programs_are_let_go_before_the_kernel_runs_out_of_mappings(recorded, tmp_path):
+    def mapped() -> int:
+        return len(Path("/proc/self/maps").read_text().splitlines())
+
+    case = cut(recorded(1), tmp_path / "one", 100)
+    before = run.identify(case, starts=1)
+    held = mapped()
+    assert not backend.make_room()
+    allowed = int(Path("/proc/sys/vm/max_map_count").read_text())
+    assert backend.make_room(0.9 * held / allowed)
+    assert mapped() < held - 1000
+    again = run.identify(case, starts=1)
+    assert again.parameters == before.parameters

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from ..backend import make_room
 from ..errors import InputError
 from ..quantities import Quantity, Setting
 from . import linear, measure, merits, point
@@ -218,6 +219,7 @@ def run(plan: Plan, folder: Path | None = None, tell: Tell | None = None) -> xr.
     Raises:
         InputError: the folder holds another sweep.
     """
+    make_room()
     key = plan.key()
     if folder is not None:
         _claim(folder, key)
