@@ -231,6 +231,22 @@ def test_case_on_disk_is_readable(tmp_path):
     assert 0 < abs(start / true - 1) <= 0.1
 
 
+def test_a_differential_cylinder_reads_back(tmp_path):
+    from hydrojax.build import load_rig
+    from hydrojax.signals import read_log
+
+    (spec,) = cases.plan(0, {"differential": 1})
+    cases.write_cases([spec], tmp_path, seconds=0.6)
+    rig = load_rig(tmp_path / spec.name / "rig.toml")
+    assert rig.layout == "differential"
+    assert 0.55 < rig.geometry["area_1"] / rig.geometry["area_2"] < 0.85
+    s = read_log(tmp_path / spec.name / "fit_1.csv").signals
+    assert "x" in s and "psi" not in s
+    # In balance but for friction and noise: the areas are the plant's own.
+    drive = rig.geometry["area_2"] * s["P_a2"] - rig.geometry["area_1"] * s["P_a1"]
+    assert np.median(np.abs(drive - s["F"])) < 2000.0
+
+
 # -- bookkeeping --
 
 

@@ -61,6 +61,9 @@ def _median(values: Iterable[float | None], form: str = "{:.3g}") -> str:
     return f"{form.format(median(given))} ({len(given)})" if given else "- (0)"
 
 
+_ONE_SIDE = "rod on one side"
+
+
 def _main(good: Sequence[Row]) -> str:
     whole, effects = _of(good, "nothing", "parameters"), _of(good, "effect")
     sizes = sorted({s for r in effects for s in r["sizes"].values()})
@@ -74,6 +77,9 @@ def _main(good: Sequence[Row]) -> str:
     for s in sizes:
         out.append((f"effect of size {s:g} seen", share(_sized(good, s), said)))
     large = [r for r in effects if matters(r)]
+    one_side = _of(good, "differential")
+    plain = [r for r in one_side if not r["sizes"]]
+    hidden = [r for r in one_side if r["sizes"]]
     out.append(("effect seen where it matters (2 % of noise)", share(large, said)))
     for s in sizes:
         out.append((f"top-1, size {s:g}", share(_sized(good, s), top_1)))
@@ -87,6 +93,9 @@ def _main(good: Sequence[Row]) -> str:
         ("effect found under a shift", share(_shifted(good), within_alias)),
         ("largest of the literature: named first", share(_of(good, "large"), top_1)),
         ("the same: `explained`", share(_of(good, "large"), _explained)),
+        (f"{_ONE_SIDE}: something said though nothing is missing", share(plain, said)),
+        (f"{_ONE_SIDE}: effect named first", share(hidden, top_1)),
+        (f"{_ONE_SIDE}: or among its likes", share(hidden, within_alias)),
         ("pair: both named, nothing else", share(_of(good, "pair"), exact)),
         ("pair: at least one of both named", share(_of(good, "pair"), _one_of)),
         ("outside the vocabulary: `unknown`", share(_of(good, "outside"), _unknown)),
