@@ -69,7 +69,7 @@ def _followed(rig: Rig, batch: Batch, left: np.ndarray) -> tuple[Batch, float]:
     seg = np.asarray(w.seg)[:, None]
     at = seg, ticks[:, lead:]
     here, came = F[at], np.asarray(w.measured)[..., 2] - left[..., 2]
-    K, s_here = _stiffness(rig, batch), _ahead(rig, here)
+    K, s_here = float(answer(rig, batch)[2]), _ahead(rig, here)
     low, high = np.minimum(here, came), np.maximum(here, came)
     for _ in range(HALVINGS):
         middle = (low + high) / 2
@@ -85,15 +85,18 @@ def _ahead(rig: Rig, F: np.ndarray) -> np.ndarray:
     return np.asarray(rod.ahead(rig.stretch, jnp.asarray(F)))
 
 
-def _stiffness(rig: Rig, batch: Batch) -> float:
-    """Force (N) by which oil and bristle answer a metre of the piston, at most."""
+def answer(rig: Rig, batch: Batch) -> np.ndarray:
+    """Pressures (Pa) and force (N) by which oil and bristle answer a metre of the
+    piston, at most; [3].
+    """
     w = batch.windows
     x = jnp.asarray([np.min(w.x), np.max(w.x)])
     P = jnp.full(2, np.median(w.P_a1)), jnp.full(2, np.median(w.P_a2))
     none = jnp.zeros(2)
     at = Point(*P, P[0], none, (none,), x, v=none + 1.0)
     moved = rig.chambers.rates(at, none, none, rig.compliance, rig.volume)
-    oil = -rig.drive_force(*moved)
+    oil = jnp.stack([*moved, rig.drive_force(*moved)])
     friction = rig.mechanics
     level = jnp.maximum(friction.k_cp, friction.k_cn)
-    return float(jnp.max(oil) + level / friction.z_ss)
+    bristle = jnp.array([0.0, 0.0, level / friction.z_ss])
+    return np.asarray(jnp.max(jnp.abs(oil), axis=1) + bristle)

@@ -352,3 +352,14 @@ class Problem:
         return np.sqrt(
             np.sum(np.asarray(sse), axis=0) / (np.sum(self.batch.weight) * ticks)
         )
+
+
+def in_play(problem: Problem, data: Data) -> tuple[str, ...]:
+    """The free parameters that anything compared depends on."""
+    out = []
+    for name in problem.free:
+        hydraulic = problem.model.names.index(name) < problem.model.hydraulic
+        plays = data.driven_by == "u" if hydraulic else np.isfinite(data.noise[2])
+        if plays or (name.startswith("pressure_sensor") and data.driven_by == "u"):
+            out.append(name)
+    return tuple(out)

@@ -25,8 +25,15 @@ from .closed_loop import check_loop
 from .fit import Point, fit_force, fit_jointly, fit_pressures
 from .outcome import LoopCheck, Outcome
 from .prepare import Data, prepare, runs_backward
-from .problem import COULOMB, Free, Problem, free_effect, free_parameters
+from .problem import (
+    COULOMB,
+    Problem,
+    free_effect,
+    free_parameters,
+    in_play,
+)
 from .profile import profiles
+from .resolution import resolve
 from .starts import best_start
 from .state import Tracing
 from .summary import summarise
@@ -108,11 +115,11 @@ def open_case(
             "in the rig file with invert = true under [channels]"
         )
         data = replace(data, notes=(turned, *data.notes))
-    fit = prepare(fitted, spec, horizon, data.noise, sign, data.band)
-    check = (
-        prepare(others, spec, horizon, data.noise, sign, data.band) if others else fit
-    )
-    fit = replace(fit, notes=data.notes)
+    found = resolve(fitted, others, spec, data, horizon, sign)
+    fitted, others, noise = found.fitted, found.others, found.noise
+    fit = prepare(fitted, spec, horizon, noise, sign, data.band)
+    check = prepare(others, spec, horizon, noise, sign, data.band) if others else fit
+    fit = replace(fit, notes=(*data.notes, *found.notes))
     return Case(spec, fit, check, fitted, others or fitted, bool(others))
 
 
@@ -133,17 +140,6 @@ def applicable(case: Case) -> tuple[str, ...]:
     return tuple(n for n, e in EFFECTS.items() if set(e.needs) <= can)
 
 
-def _in_play(problem: Problem, free: dict[str, Free], data: Data) -> tuple[str, ...]:
-    """The free parameters that anything compared depends on."""
-    out = []
-    for name in free:
-        hydraulic = problem.model.names.index(name) < problem.model.hydraulic
-        plays = data.driven_by == "u" if hydraulic else np.isfinite(data.noise[2])
-        if plays or (name.startswith("pressure_sensor") and data.driven_by == "u"):
-            out.append(name)
-    return tuple(out)
-
-
 def _problems(
     case: Case, candidates: Sequence[str]
 ) -> tuple[Problem, Problem, tuple[str, ...], dict[str, Effect]]:
@@ -162,7 +158,7 @@ def _problems(
         known["valve_delay.tau_u"] = replace(f, upper=min(f.upper, reach))
     problem = Problem.of(rig, free, case.fit)
     check = Problem.of(rig, free, case.check)
-    use = _in_play(problem, free, case.fit)
+    use = in_play(problem, case.fit)
     dormant = {n: e for n, e in effects.items() if n in candidates}
     return replace(problem, free=known), check, use, dormant
 

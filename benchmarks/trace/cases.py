@@ -6,7 +6,8 @@ far off), `effect` (one hidden effect at 0.3, 1 or 3 times a size that matters),
 (two), `outside` (one that no vocabulary names), `noise` (nothing but unusual sensor
 noise), `shift` (another load mass and supply pressure on the validation log). Not in
 the mix: `large` (one effect as large as the field's literature has it), `differential`
-(a cylinder with its rod on one side, with one effect or nothing).
+(a cylinder with its rod on one side) and `coarse` (an encoder of 17 bits in place of
+23), each with one effect or nothing by turns.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from .plant import MASS, Lane
 from .record import Log, record
 
 MIXED = ("nothing", "parameters", "effect", "pair", "outside", "noise", "shift")
-KINDS = (*MIXED, "large", "differential")
+KINDS = (*MIXED, "large", "differential", "coarse")
 LOGS = tuple(f"{style}.csv" for style in STYLES)
 
 RANGES = {  # name: (unit, lower end, upper end)
@@ -61,6 +62,7 @@ class CaseSpec:
         shifted: another load mass and supply pressure on the validation log.
         error: how far the rig file's starts may be off, relative.
         layout: of the cylinder, as the rig file has it.
+        bits: of the encoder, on a turn.
     """
 
     name: str
@@ -70,6 +72,7 @@ class CaseSpec:
     shifted: bool = False
     error: float = 0.1
     layout: str = "pull-pull"
+    bits: int = 23
 
     @property
     def seed(self) -> int:
@@ -104,7 +107,13 @@ def plan(
         "noise": _noises(),
         "shift": _shifts(names),
         "large": _large(names),
-        "differential": _differential(names),
+        "differential": _by_turns(
+            # Without an angle in the log no weight can turn with it.
+            "differential",
+            [n for n in names if n != "gravity_load"],
+            layout="differential",
+        ),
+        "coarse": _by_turns("coarse", names, bits=17),
     }
     more = dict(more or {})
     if unknown := sorted(set(more) - set(makers)):
@@ -135,16 +144,18 @@ def _large(names: Sequence[str]) -> Iterator[CaseSpec]:
             yield CaseSpec(f"large-{name}-{i}", "large", {name: LARGEST})
 
 
-def _differential(names: Sequence[str]) -> Iterator[CaseSpec]:
+def _by_turns(
+    kind: str, names: Sequence[str], bits: int = 23, layout: str = "pull-pull"
+) -> Iterator[CaseSpec]:
     """Nothing missing and one effect by turns."""
     for i in count():
         for j, name in enumerate(names):
             number = i * len(names) + j
             for case, effects in (
-                (f"differential-nothing-{number}", {}),
-                (f"differential-{name}-{i}", {name: 1.0}),
+                (f"{kind}-nothing-{number}", {}),
+                (f"{kind}-{name}-{i}", {name: 1.0}),
             ):
-                yield CaseSpec(case, "differential", effects, layout="differential")
+                yield CaseSpec(case, kind, effects, layout=layout, bits=bits)
 
 
 def _pairs(names: Sequence[str]) -> Iterator[CaseSpec]:
@@ -236,6 +247,7 @@ def lanes_of(spec: CaseSpec) -> tuple[list[Lane], dict]:
                 spec.noise,
                 mass=2.0 * MASS if moved else MASS,
                 supply=11e6 if moved else 14e6,
+                bits=spec.bits,
             )
         )
     truth = {
@@ -245,6 +257,7 @@ def lanes_of(spec: CaseSpec) -> tuple[list[Lane], dict]:
         "noise": spec.noise,
         "shifted": spec.shifted,
         "layout": spec.layout,
+        "bits": spec.bits,
         "rig": {n: v for n, v in rig.items() if n in RANGES},
         "effects": effects,
         "held": held,

@@ -15,7 +15,6 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 TICK = 1e-3  # s
 NOISE = {"P_a1": 9e3, "P_a2": 9e3, "P_s": 9e3, "F": 2.5}  # Pa, Pa, Pa, N
 LSB = {"P_a1": 35e6 / 4096, "P_a2": 35e6 / 4096, "P_s": 35e6 / 4096, "F": 2e4 / 4096}
-ENCODER = 2 * np.pi / 2**23  # rad
 STYLES = ("fit_1", "fit_2", "validate")
 NOISES = ("white", "coloured", "quantised", "heavy-tailed")
 

@@ -42,6 +42,7 @@ class Lane:
         noise: the sensors' kind of noise; see `excitation.NOISES`.
         mass: kg, of the load beyond the load cell.
         supply: Pa, mean supply pressure.
+        bits: of the joint's encoder, on a turn.
     """
 
     rig: Rig
@@ -52,6 +53,7 @@ class Lane:
     noise: str = "white"
     mass: float = MASS
     supply: float = 14e6
+    bits: int = 23
 
 
 class Plant:

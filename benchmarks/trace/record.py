@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from .excitation import ENCODER, LSB, TICK, drive
+from .excitation import LSB, TICK, drive
 from .force_loop import ForceLoop
 from .plant import MASS, Lane, Plant
 from .sensors import Sensors
@@ -59,6 +59,7 @@ def _record(lanes, seconds, substeps, tell, ahead) -> list[Log]:
     quantised = np.array([la.noise == "quantised" for la in lanes])
     lsb = np.array([[LSB[c]] for c in CHANNELS]) * quantised
     valve, sensors = Valve(e, n, substeps, h), Sensors(e, h, lsb)
+    mark = np.array([2 * np.pi / 2**la.bits for la in lanes])  # rad
     skew = _Skew(e("channel_skew", "tau"), h, substeps, n)
 
     first = wanted[0] * (1 + r["k_fp"] / (1 + r["delta"] * np.abs(wanted[0])))
@@ -75,7 +76,7 @@ def _record(lanes, seconds, substeps, tell, ahead) -> list[Log]:
     for k in range(n):
         p_1, p_2, force = shown = sensors.reading(k * TICK)
         skew.keep(k, 0, shown)
-        angle = np.round(plant.encoder / r["radius"] / ENCODER) * ENCODER
+        angle = np.round(plant.encoder / r["radius"] / mark) * mark
         read = sensors.rounded(np.stack([p_1, p_2, P_s[k], force]) + noise[k])
         u = loop.command(angle, *read, wanted[k], rise[k])
         rows[k] = [u, angle, *read, wanted[k]]

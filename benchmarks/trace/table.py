@@ -61,9 +61,6 @@ def _median(values: Iterable[float | None], form: str = "{:.3g}") -> str:
     return f"{form.format(median(given))} ({len(given)})" if given else "- (0)"
 
 
-_ONE_SIDE = "rod on one side"
-
-
 def _main(good: Sequence[Row]) -> str:
     whole, effects = _of(good, "nothing", "parameters"), _of(good, "effect")
     sizes = sorted({s for r in effects for s in r["sizes"].values()})
@@ -77,9 +74,6 @@ def _main(good: Sequence[Row]) -> str:
     for s in sizes:
         out.append((f"effect of size {s:g} seen", share(_sized(good, s), said)))
     large = [r for r in effects if matters(r)]
-    one_side = _of(good, "differential")
-    plain = [r for r in one_side if not r["sizes"]]
-    hidden = [r for r in one_side if r["sizes"]]
     out.append(("effect seen where it matters (2 % of noise)", share(large, said)))
     for s in sizes:
         out.append((f"top-1, size {s:g}", share(_sized(good, s), top_1)))
@@ -93,9 +87,6 @@ def _main(good: Sequence[Row]) -> str:
         ("effect found under a shift", share(_shifted(good), within_alias)),
         ("largest of the literature: named first", share(_of(good, "large"), top_1)),
         ("the same: `explained`", share(_of(good, "large"), _explained)),
-        (f"{_ONE_SIDE}: something said though nothing is missing", share(plain, said)),
-        (f"{_ONE_SIDE}: effect named first", share(hidden, top_1)),
-        (f"{_ONE_SIDE}: or among its likes", share(hidden, within_alias)),
         ("pair: both named, nothing else", share(_of(good, "pair"), exact)),
         ("pair: at least one of both named", share(_of(good, "pair"), _one_of)),
         ("outside the vocabulary: `unknown`", share(_of(good, "outside"), _unknown)),
@@ -103,6 +94,20 @@ def _main(good: Sequence[Row]) -> str:
         ("outside: seen at all", share(_of(good, "outside"), said)),
         ("size of the effect, median error", _median(map(size_error, effects))),
     ]
+    for kind, title in (
+        ("differential", "rod on one side"),
+        ("coarse", "encoder of 17 bits"),
+    ):
+        hidden = [r for r in _of(good, kind) if r["sizes"]]
+        felt = [r for r in hidden if matters(r)]
+        plain = [r for r in _of(good, kind) if not r["sizes"]]
+        out += [
+            (f"{title}: something said though nothing is missing", share(plain, said)),
+            (f"{title}: effect seen where it matters", share(felt, said)),
+            (f"{title}: and named first", share(felt, top_1)),
+            (f"{title}: or among its likes", share(felt, within_alias)),
+            (f"{title}: named exactly", share(felt, exact)),
+        ]
     out += _errors(good) + _coverage(good) + _times(good)
     lines = ["| | trace |", "|---|---|"]
     return "\n".join(lines + [f"| {name} | {value} |" for name, value in out])

@@ -1,0 +1,93 @@
+"""A position that is measured coarsely: what is known of its noise, and what that does.
+
+Truth is what was put in: noise of a known size on closed forms, and logs of the
+independent generator under an encoder of fewer bits.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hydrojax.identify import run
+from hydrojax.identify.resolution import blur_of
+
+from hydrojax.build import load_rig
+from hydrojax.signals import Log, read_log
+from tests import generator
+
+TIME = np.arange(12_000) * 1e-3
+MOTION = sum(
+    a * 1e-6 * np.sin(2 * np.pi * f * TIME + p)
+    for a, f, p in ((9000, 0.4, 0.1), (400, 5.0, 1.0), (60, 17.0, 2.0))
+)
+
+
+def log_of(x: np.ndarray) -> Log:
+    return Log("x", TIME, {"x": x}, {}, (), 0, ((0, TIME.size),), ())
+
+
+@pytest.fixture
+def spec(recorded):
+    return load_rig(recorded(1) / "rig.toml")
+
+
+@pytest.mark.parametrize("sigma", [0.5e-6, 8e-6])
+def test_white_noise_of_a_position_is_measured(spec, sigma):
+    noise = sigma * np.random.default_rng(1).normal(size=TIME.size)
+    blur = blur_of([log_of(MOTION + noise)], spec)
+    assert blur.sigma == pytest.approx(sigma, rel=0.1)
+    assert blur.step == 0.0
+    assert 17.0 < blur.cut < 60.0
+
+
+def test_steps_of_a_position_are_seen(spec):
+    step = 5e-6
+    blur = blur_of([log_of(np.round(MOTION / step) * step)], spec)
+    assert blur.step == pytest.approx(step, rel=1e-6)
+    assert blur.sigma == pytest.approx(step / math.sqrt(12), rel=0.2)
+
+
+def test_motion_without_noise_has_none(spec):
+    """What falls all the way to the end of the spectrum has no floor to smooth at."""
+    rough = np.cumsum(np.random.default_rng(2).normal(size=TIME.size)) * 1e-6
+    assert blur_of([log_of(rough)], spec) is None
+
+
+def coarse_case(folder: Path, monkeypatch, bits: int, effects=None) -> run.Case:
+    monkeypatch.setattr(generator, "ENCODER", 2 * math.pi / 2**bits)
+    generator.write_case(folder, 1, effects)
+    logs = [folder / f"fit_{i}.csv" for i in (1, 2)]
+    return run.open_case(folder / "rig.toml", logs, [folder / "validate.csv"])
+
+
+def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
+    case = coarse_case(tmp_path, monkeypatch, 23)
+    np.testing.assert_array_equal(case.fit.noise, [9e3, 9e3, 2.5])
+    assert not any("the position is known to" in note for note in case.fit.notes)
+    raw = read_log(tmp_path / "fit_1.csv")
+    np.testing.assert_array_equal(case.fit_logs[0].signals["psi"], raw.signals["psi"])
+
+
+def test_under_a_coarse_encoder_nothing_missing_is_still_the_answer(
+    tmp_path, monkeypatch
+):
+    """Seventeen bits are 4 um: as they are, they move F by many times its noise."""
+    case = coarse_case(tmp_path, monkeypatch, 17)
+    assert any("the position is known to 1." in note for note in case.fit.notes)
+    assert 4.0 < case.fit.noise[2] < 12.0 and case.fit.noise[0] > 9e3
+    found = run.trace_case(case)
+    assert found.verdict == "nothing missing" and not found.effects
+    for channel in found.channels.values():
+        assert 0.7 < channel.after / channel.noise < 1.1
+
+
+def test_under_a_coarse_encoder_an_effect_is_still_named(tmp_path, monkeypatch):
+    effects = {"internal_leakage": generator.CATALOGUE["internal_leakage"]}
+    found = run.trace_case(coarse_case(tmp_path, monkeypatch, 17, effects))
+    assert [e.name for e in found.effects] == ["internal_leakage"]
+    assert found.verdict == "explained", found.sentence
+    c_il = found.effects[0].parameters["c_il"].value
+    assert c_il == pytest.approx(effects["internal_leakage"]["c_il"], rel=0.03)
