@@ -77,7 +77,7 @@ def prepare(
     """
     if not 0 < horizon < 1e4:
         raise InputError(f"--horizon {horizon}: give the length of a window in seconds")
-    driven_by = _driver(logs, spec)
+    driven_by = driver(logs, spec)
     notes = [f"{log.name}: {note}" for log in logs for note in log.notes]
     if band is None:
         band = common_band(logs, spec, driven_by)
@@ -141,8 +141,12 @@ def prepare(
     )
 
 
-def _driver(logs: Sequence[Log], spec: RigSpec) -> str:
-    """What drives the replay: `u`, the pressures, or `P`."""
+def driver(logs: Sequence[Log], spec: RigSpec) -> str:
+    """What drives the replay: `u`, the pressures, or `P`.
+
+    Raises:
+        InputError: nothing to predict, or logs that differ in their signals.
+    """
     has = set(logs[0].signals)
     for log in logs[1:]:
         if set(log.signals) - {"F_d"} != has - {"F_d"}:

@@ -21,9 +21,9 @@ from ..rig import Rig
 from ..rigfile import RigSpec
 from ..signals import Log
 from .coupled import answer
-from .fit import fit
+from .fit import fit as fit_all
 from .measured import CHANNELS, smooth
-from .prepare import Data, prepare
+from .prepare import Data
 from .problem import Problem, batch_of, free_parameters, in_play
 
 FLAT = 1.5
@@ -54,11 +54,13 @@ class Blur:
 
 @dataclass(frozen=True)
 class Resolved:
-    """Logs with the position as good as it gets, and the channels' noise then, [3]."""
+    """Logs with the position as good as it gets, and those to fit made ready, with what
+    is left of the position's noise in that of the channels.
+    """
 
     fitted: tuple[Log, ...]
     others: tuple[Log, ...]
-    noise: np.ndarray
+    fit: Data
     notes: tuple[str, ...] = ()
 
 
@@ -66,55 +68,60 @@ def resolve(
     fitted: tuple[Log, ...],
     others: tuple[Log, ...],
     spec: RigSpec,
-    data: Data,
-    horizon: float,
-    sign: float,
+    fit: Data,
+    ready: Callable[[Sequence[Log], np.ndarray], Data],
 ) -> Resolved:
     """Smooth the position where its noise shows in what it drives.
 
-    `data` is what all the logs gave as they are. Only where u drives: otherwise
-    the motion is taken in a band of its own already.
+    For logs that u drives: otherwise the motion is taken in a band of its own already.
+
+    Args:
+        fitted: the logs to fit.
+        others: logs that take no part, but for how noisy they are.
+        spec: the rig they were recorded on.
+        fit: what the logs to fit gave as they are.
+        ready: makes logs ready, with a noise of the channels [3].
     """
-    blur = blur_of((*fitted, *others), spec) if data.driven_by == "u" else None
-    rig = make_rig(spec, make_effects(spec.effects, spec, data.travel))
-    if blur is None or not _matters(blur, rig, data):
-        return Resolved(fitted, others, data.noise)
-    fitted, others = (
-        tuple(_calmed(log, spec, blur) for log in logs) for logs in (fitted, others)
-    )
+    noise, logs = fit.noise, (*fitted, *others)
+    blur = blur_of(logs, spec)
+    rig = make_rig(spec, make_effects(spec.effects, spec, fit.travel))
+    if blur is None or not _matters(blur, rig, fit):
+        return Resolved(fitted, others, fit)
+    calm = tuple(_calmed(log, spec, blur) for log in logs)
+    fitted, others = calm[: len(fitted)], calm[len(fitted) :]
+    again = [_calmed(_measured(log, spec, blur), spec, blur) for log in calm]
 
-    logs = (*fitted, *others)
-    again = [_calmed(_measured(log, spec, blur), spec, blur) for log in logs]
+    def problem_of(data: Data) -> Problem:
+        return Problem.of(rig, free_parameters(spec), data)
 
-    def ready(logs: Sequence[Log], noise: np.ndarray) -> tuple[Problem, Data]:
-        own = prepare(logs, spec, horizon, noise, sign, data.band)
-        return Problem.of(rig, free_parameters(spec), own), own
+    one, other = ready(calm, noise), ready(again, noise)
 
     def brought(values: np.ndarray) -> np.ndarray:
-        (one, own), (other, _) = ready(logs, data.noise), ready(again, data.noise)
-        change = one.residuals_at(values) - other.residuals_at(values)
-        return _largest(change, own.log)
+        left = [problem_of(data).residuals_at(values) for data in (one, other)]
+        return _largest(left[1] - left[0], one.log)
 
     # How far the position moves the channels depends on what the rig is: that of the
     # file may be off, and one that is fitted without what it lacks may be bent.
-    start = ready(fitted, data.noise)[0].initial_values()
+    start = problem_of(one).initial_values()
     extra = brought(start)
-    problem, own = ready(fitted, np.hypot(data.noise, extra))
-    _, point = fit(problem, start, in_play(problem, own))
+    data = ready(fitted, np.hypot(noise, extra))
+    problem = problem_of(data)
+    _, point = fit_all(problem, start, in_play(problem, data))
     extra = np.maximum(extra, brought(point.values))
     moves = ", ".join(
         f"{name} by {size / per:.2g} {unit}"
         for name, size, per, unit in zip(
             CHANNELS, extra, (1e3, 1e3, 1.0), ("kPa", "kPa", "N"), strict=True
         )
-        if np.isfinite(data.noise[CHANNELS.index(name)])
+        if np.isfinite(noise[CHANNELS.index(name)])
     )
     note = (
         f"the position is known to {1e6 * blur.sigma:.2g} um: it was smoothed above "
         f"{blur.cut:.0f} Hz; what is left of its noise moves {moves} RMS, which is "
         "counted into their noise"
     )
-    return Resolved(fitted, others, np.hypot(data.noise, extra), (note,))
+    data = replace(data, noise=np.hypot(noise, extra))
+    return Resolved(fitted, others, data, (note,))
 
 
 def blur_of(logs: Sequence[Log], spec: RigSpec) -> Blur | None:

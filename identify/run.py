@@ -23,8 +23,9 @@ from ..rigfile import RigSpec
 from ..signals import Log, read_log
 from .closed_loop import check_loop
 from .fit import Point, fit_force, fit_jointly, fit_pressures
+from .measured import channel_noise
 from .outcome import LoopCheck, Outcome
-from .prepare import Data, prepare, runs_backward
+from .prepare import Data, driver, prepare, runs_backward
 from .problem import (
     COULOMB,
     Problem,
@@ -34,6 +35,7 @@ from .problem import (
 )
 from .profile import profiles
 from .resolution import resolve
+from .segments import common_band
 from .starts import best_start
 from .state import Tracing
 from .summary import summarise
@@ -104,22 +106,32 @@ def open_case(
                 f"{log.name}: u is in [{unit}], but {rig} or another log is per "
                 f"[{spec.command_unit}]: bring them to one unit"
             )
-    data = prepare((*fitted, *others), spec, horizon)
-    sign = 1.0
-    if runs_backward(data):
-        sign = -1.0
-        data = prepare((*fitted, *others), spec, horizon, sign=sign)
-        turned = (
+    logs = (*fitted, *others)
+    driven_by = driver(logs, spec)
+    band, noise = (
+        common_band(logs, spec, driven_by),
+        channel_noise(logs, spec, driven_by),
+    )
+
+    def ready(logs: Sequence[Log], noise: np.ndarray, sign: float = 1.0) -> Data:
+        return prepare(logs, spec, horizon, noise, sign, band)
+
+    fit = ready(fitted, noise)
+    notes: tuple[str, ...] = ()
+    if driven_by == "u":
+        found = resolve(fitted, others, spec, fit, ready)
+        fitted, others, fit, notes = found.fitted, found.others, found.fit, found.notes
+    sign = -1.0 if runs_backward(fit) else 1.0
+    if sign < 0:
+        fit = ready(fitted, noise, sign)
+        notes = (
             "friction as logged drives the motion: the position runs against the "
             "rig's sign (P pushes toward positive v), so it was turned round; say so "
-            "in the rig file with invert = true under [channels]"
+            "in the rig file with invert = true under [channels]",
         )
-        data = replace(data, notes=(turned, *data.notes))
-    found = resolve(fitted, others, spec, data, horizon, sign)
-    fitted, others, noise = found.fitted, found.others, found.noise
-    fit = prepare(fitted, spec, horizon, noise, sign, data.band)
-    check = prepare(others, spec, horizon, noise, sign, data.band) if others else fit
-    fit = replace(fit, notes=(*data.notes, *found.notes))
+    check = ready(others, fit.noise, sign) if others else fit
+    said = (*notes, *fit.notes, *check.notes)
+    fit = replace(fit, notes=tuple(dict.fromkeys(said)))
     return Case(spec, fit, check, fitted, others or fitted, bool(others))
 
 

@@ -211,7 +211,7 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
     first = {a.name: a for a in state.added}
     out = []
     for name, s in state.scores.items():
-        what = status(state, name)
+        what = status(state, name, p[name])
         why = WHY.get(state.tried.get(name, ""), "")
         if what == "added":
             why = "lowers the validation error most, beyond chance"

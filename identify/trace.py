@@ -134,8 +134,8 @@ def _round(
     )
 
 
-def status(state: Tracing, name: str) -> str:
-    """`added`, `rejected`, `absent` or `cannot tell`."""
+def status(state: Tracing, name: str, p_value: float) -> str:
+    """`added`, `rejected`, `absent` or `cannot tell`; by its family-wise p-value."""
     if any(a.name == name for a in state.added):
         return "added"
     if any(name in a.cannot_tell_from for a in state.added):
@@ -143,7 +143,6 @@ def status(state: Tracing, name: str) -> str:
     s = state.scores.get(name)
     if s is None:
         return "cannot tell"
-    p = family(state.scores)[name]
-    if p < state.level:
+    if p_value < state.level:
         return "rejected"
     return "absent" if s.power >= 0.8 else "cannot tell"

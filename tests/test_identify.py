@@ -475,7 +475,8 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
         log.loc[2777:, "time [s]"] += 0.4
         log = log.drop(index=[*range(1900, 1910), 3000, 3001, 3002, 5100, 5101, 5102])
     else:
-        log.loc[holes, "P_a1 [Pa]"] = np.nan
+        both = [row for first in holes for row in (first, first + 1)]
+        log.loc[both, "P_a1 [Pa]"] = np.nan
     log.to_csv(tmp_path / "log.csv", index=False)
     data = prepare((read_log(tmp_path / "log.csv"),), bench)
     w = data.windows
