@@ -30,6 +30,10 @@ holds them is taken, so that few programs serve every fit."""
 COULOMB = ("k_cp", "k_cn")
 
 
+BLIND = 5
+"""Corrections of the windows' initial pressures where none is measured."""
+
+
 TIED = 1e-3
 """How closely (N) a symmetric fit holds k_cp and k_cn together."""
 
@@ -294,8 +298,9 @@ class Problem:
         """Measured minus replayed, [W, T, 3], SI.
 
         The windows' initial pressures are corrected twice: logs that take no part in
-        a fit come with a first guess only, too far off for one linear step. What gives
-        follows the force that is replayed; see `coupled`.
+        a fit come with a first guess only, too far off for one linear step. Where no
+        pressure is measured it takes more. What gives follows the force that is
+        replayed; see `coupled`.
         """
         batch, at = self.batch, jnp.asarray(values)
 
@@ -303,8 +308,21 @@ class Problem:
             out = _leftover(self.model, at, filled(batch), self.simulate)
             return self._real(out)
 
-        batch = batch._replace(P_0=batch.P_0 - found(batch)[1])
-        left = found(batch)[0]
+        noise = np.asarray(batch.noise)
+        seen = np.isfinite(noise)
+
+        def cost(left: np.ndarray) -> np.ndarray:
+            return np.sum((left[..., seen] / noise[seen]) ** 2, axis=(1, 2))
+
+        left, off = found(batch)
+        for _ in range(1 if self.sees_pressures else BLIND):
+            moved = batch._replace(P_0=batch.P_0 - off)
+            there, further = found(moved)
+            better = cost(there) <= cost(left)
+            P_0 = np.where(better[:, None], moved.P_0, batch.P_0)
+            left = np.where(better[:, None, None], there, left)
+            off = np.where(better[:, None], further, off / 4)
+            batch = batch._replace(P_0=P_0)
         if not self.simulate:
             return left
         rig = stretched(self.model, values)
