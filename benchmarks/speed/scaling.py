@@ -238,7 +238,9 @@ def _memory(section: Section) -> None:
 def picture(name: str, unit: str, points: Sequence[Point]) -> bytes:
     """Seconds and MiB over what was changed, both on log scales, as PNG."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+    plain = FuncFormatter(lambda value, _: f"{value:,.6g}")
     x = [p["x"] for p in points]
     drawing = Figure(figsize=(7.2, 2.8), layout="constrained")
     for axes, key, label in zip(
@@ -246,6 +248,14 @@ def picture(name: str, unit: str, points: Sequence[Point]) -> bytes:
     ):
         y = [p[key] for p in points]
         axes.loglog(x, y, "o-")
+        low, high = min(y), max(y)
+        if high < 5 * low:  # what is flat is to look flat
+            middle = (low * high) ** 0.5
+            axes.set_ylim(middle / 3, middle * 3)
+        subs = (1, 2, 5) if high < 30 * low else (1,)
+        axes.yaxis.set_major_locator(LogLocator(subs=subs))
+        axes.yaxis.set_major_formatter(plain)
+        axes.yaxis.set_minor_formatter(NullFormatter())
         axes.set(xlabel=f"{name} [{unit}]", ylabel=label)
         if len(x) > 1:
             axes.set_title(f"slope {slope(x, y):.2f}", fontsize=9)
