@@ -70,7 +70,8 @@ def friction_bounds(
     fits = fit_stretches(state.problem, state.point, case.fit, logs, stretch)
     other_fits: list[Stretch] = []
     if case.held_out:
-        check = state.check.restarted(state.check.sums_at(state.point.values))
+        values = state.point.values
+        check = state.check.restarted(state.check.sums_at(values), values)
         check = replace(check, free=state.problem.free)
         others = [log.name for log in case.check_logs]
         other_fits = fit_stretches(check, state.point, case.check, others, stretch)

@@ -61,7 +61,7 @@ def fit_force(
         _, out = problem.solve(values, (), noise)
         weights = bent(noise, problem.rms(out.also.sse))
         values, out = problem.solve(values, mechanical, weights)
-        problem = problem.restarted(out.also)
+        problem = problem.restarted(out.also, values)
         weights = bent(noise, problem.rms(out.also.sse))
     return fit_jointly(problem, values, free, weights)
 
@@ -72,13 +72,17 @@ def fit_jointly(
     """Fit everything free at once from nearby, each channel at its weight."""
     noise = np.asarray(problem.batch.noise)
     seen = np.isfinite(noise)
-    for left in reversed(range(3)):
+    before = np.inf
+    for left in reversed(range(8 if problem.blind else 3)):
         values, out = problem.solve(values, free, weights)
-        problem = problem.restarted(out.also)
-        earned = bent(noise, problem.rms(out.also.sse))
-        if left == 0 or np.allclose(earned[seen], weights[seen], rtol=0.1):
+        problem = problem.restarted(out.also, values)
+        rms = problem.rms(out.also.sse)
+        earned = bent(noise, rms)
+        same = np.allclose(earned[seen], weights[seen], rtol=0.1)
+        # Without pressures to see, where the windows begin moves on with the fit.
+        if left == 0 or (same and not (problem.blind and rms[2] < 0.99 * before)):
             return problem, Point(values, weights, int(out.steps), bool(out.converged))
-        weights = earned
+        weights, before = earned, rms[2]
     raise AssertionError("the last round returns")
 
 
@@ -91,7 +95,7 @@ def fit_pressures(
     names = (*problem.side(free, True), *sensors)
     for _ in range(3):
         values, out = problem.solve(values, names, noise)
-        problem = problem.restarted(out.also)
+        problem = problem.restarted(out.also, values)
         if np.median(np.abs(out.also.start[:, :2, -1])) < 0.5 * np.min(noise):
             break
     return problem, values

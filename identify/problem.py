@@ -30,7 +30,7 @@ holds them is taken, so that few programs serve every fit."""
 COULOMB = ("k_cp", "k_cn")
 
 
-BLIND = 5
+BLIND = 6
 """Corrections of the windows' initial pressures where none is measured."""
 
 
@@ -297,36 +297,44 @@ class Problem:
     def residuals_at(self, values: np.ndarray) -> np.ndarray:
         """Measured minus replayed, [W, T, 3], SI.
 
-        The windows' initial pressures are corrected twice: logs that take no part in
-        a fit come with a first guess only, too far off for one linear step. Where no
-        pressure is measured it takes more. What gives follows the force that is
-        replayed; see `coupled`.
+        What gives follows the force that is replayed; see `coupled`.
         """
-        batch, at = self.batch, jnp.asarray(values)
+        batch, left = self._begun(values)
+        if not self.simulate:
+            return left
+        rig = stretched(self.model, values)
+        if rig is None:
+            return left
+        return agreed(rig, batch, left, lambda b: self._left(values, b)[0])
 
-        def found(batch: Batch) -> tuple[np.ndarray, np.ndarray]:
-            out = _leftover(self.model, at, filled(batch), self.simulate)
-            return self._real(out)
+    def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
+        at = jnp.asarray(values)
+        return self._real(_leftover(self.model, at, filled(batch), self.simulate))
 
-        noise = np.asarray(batch.noise)
+    def _begun(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
+        """The batch with its windows' initial pressures found, and the residuals.
+
+        They are corrected once, and linearly beyond that: logs that take no part in a
+        fit come with a first guess only. Where no pressure is measured it takes more,
+        and ways that lead through worse places: each window keeps the best it saw.
+        """
+        noise = np.asarray(self.batch.noise)
         seen = np.isfinite(noise)
+        highest = np.max(np.asarray(self.batch.windows.P_s), axis=1, keepdims=True)
 
         def cost(left: np.ndarray) -> np.ndarray:
             return np.sum((left[..., seen] / noise[seen]) ** 2, axis=(1, 2))
 
-        left, off = found(batch)
-        for _ in range(1 if self.sees_pressures else BLIND):
-            moved = batch._replace(P_0=batch.P_0 - off)
-            there, further = found(moved)
+        P_0 = best = np.asarray(self.batch.P_0)
+        left, off = self._left(values, self.batch)
+        for _ in range(BLIND if self.blind else 1):
+            P_0 = np.clip(P_0 - off, 0.0, highest) if self.blind else P_0 - off
+            there, off = self._left(values, self.batch._replace(P_0=P_0))
             better = cost(there) <= cost(left)
-            P_0 = np.where(better[:, None], moved.P_0, batch.P_0)
+            best = np.where(better[:, None], P_0, best)
             left = np.where(better[:, None, None], there, left)
-            off = np.where(better[:, None], further, off / 4)
-            batch = batch._replace(P_0=P_0)
-        if not self.simulate:
-            return left
-        rig = stretched(self.model, values)
-        return left if rig is None else agreed(rig, batch, left, lambda b: found(b)[0])
+        return self.batch._replace(P_0=best), left
 
     def errors_at(self, values: np.ndarray) -> np.ndarray:
         """Squared residuals by window and channel, [W, 3], SI."""
@@ -341,9 +349,14 @@ class Problem:
         """What was found of the windows, without those that only fill up."""
         return jax.tree.map(lambda a: np.asarray(a)[: len(self.batch.P_0)], found)
 
-    def restarted(self, at: Sums) -> Problem:
-        """The problem with each window's initial pressures moved to their estimate."""
+    def restarted(self, at: Sums, values: np.ndarray) -> Problem:
+        """The problem with each window's initial pressures moved to their estimate.
+
+        `at` are the windows' sums at `values`.
+        """
         batch = self.batch
+        if self.blind:
+            return replace(self, batch=self._begun(values)[0])
         return replace(self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :2, -1]))
 
     def initial_values(self) -> np.ndarray:
@@ -352,6 +365,11 @@ class Problem:
         for name, f in self.free.items():
             values[self.model.names.index(name)] = f.start
         return values
+
+    @property
+    def blind(self) -> bool:
+        """Whether pressures are simulated that no channel of the log shows."""
+        return self.simulate and not self.sees_pressures
 
     @property
     def sees_pressures(self) -> bool:

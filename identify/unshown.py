@@ -41,7 +41,7 @@ def unshown(state: Tracing, vague: Sequence[str]) -> tuple[str, ...]:
     values = start
     for _ in range(2):
         values, out = both.solve(values, free, noise)
-        both = both.restarted(out.also)
+        both = both.restarted(out.also, values)
     if np.any(off(fitted, values) > AT_NOISE) or np.any(off(check, values) > AT_NOISE):
         return ()
 
