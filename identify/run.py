@@ -44,6 +44,9 @@ from .uncertainty import Belief, believe
 
 Tell = Callable[[str], None]
 
+BLIND = 4
+"""Starts at least where no pressure is measured: one often leads astray there."""
+
 TOLD = 3.0
 """Standard deviations by which a fit must tell k_cp from k_cn to keep them apart."""
 
@@ -184,6 +187,7 @@ def _fit_base(
         InputError: values of the rig file at `path` that have no finite answer.
     """
     values = problem.initial_values()
+    starts = max(starts, BLIND) if problem.blind else starts
     if starts > 1:
         tell(f"{starts} starts on every few windows")
         values = best_start(problem, values, free, starts)

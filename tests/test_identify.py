@@ -648,3 +648,24 @@ def test_motion_under_a_command_is_never_turned(recorded):
     data = prepare([read_log(case / "fit_1.csv")], spec, sign=-1.0)
     assert data.driven_by == "u"
     assert not runs_backward(data)
+
+
+def test_a_lag_is_measured_without_pressure_sensors(recorded, tmp_path):
+    """Where no pressure is measured each window's are found from the force."""
+    case = recorded(4, {"loadcell_lag": {}})
+    for name in ("fit_1", "fit_2", "validate"):
+        log = pd.read_csv(case / f"{name}.csv")
+        log = log.drop(columns=[c for c in log if c.startswith("P_a")])
+        log.to_csv(tmp_path / f"{name}.csv", index=False)
+    lag = 'tau_F = { start = "1 ms", range = ["0 ms", "20 ms"] }'
+    (tmp_path / "rig.toml").write_text(
+        f"{(case / 'rig.toml').read_text()}\n[effects.loadcell_lag]\n{lag}\n"
+    )
+    logs = [tmp_path / f"fit_{i}.csv" for i in (1, 2)]
+    opened = run.open_case(tmp_path / "rig.toml", logs, [tmp_path / "validate.csv"])
+    found = run.identify(opened)
+    assert set(found.channels) == {"F"}
+    assert found.channels["F"].after < 1.1 * found.channels["F"].noise
+    true = json.loads((case / "truth.json").read_text())["effects"]
+    tau_F = found.parameters["loadcell_lag.tau_F"].value
+    assert tau_F == pytest.approx(true["loadcell_lag"]["tau_F"], rel=0.05)
