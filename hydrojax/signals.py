@@ -321,6 +321,8 @@ def _without_lone_holes(
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """The rows less those that lack a number between two that do not: one tick is then
     as long as two, where a cut would cost the second after it too. And what is missing.
+
+    A command that such a row does have counts in the mean over the long tick.
     """
     notes = [
         f"rows left out, as {name} is missing: {np.isnan(values).sum()}"
@@ -333,6 +335,11 @@ def _without_lone_holes(
     near = time[2:] - time[:-2] <= _GAP * np.median(np.diff(time))
     lone = np.zeros(len(time), dtype=bool)
     lone[1:-1] = ~whole[1:-1] & whole[:-2] & whole[2:] & near
+    if "u" in arrays:
+        u, at = arrays["u"].copy(), np.flatnonzero(lone & ~np.isnan(arrays["u"]))
+        held, more = time[at] - time[at - 1], time[at + 1] - time[at]
+        u[at - 1] = (held * u[at - 1] + more * u[at]) / (held + more)
+        arrays = arrays | {"u": u}
     return {name: values[~lone] for name, values in arrays.items()}, notes
 
 

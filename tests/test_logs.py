@@ -218,9 +218,14 @@ def test_a_lone_hole_costs_its_row(tmp_path: Path) -> None:
     force[[300, 1400]], pressure[[301, 900]] = np.nan, np.nan
     time[1400:] += 0.6e-3
     log = read_log(edited(tmp_path, F=force, P_a1=pressure, time=time))
+    u = run["u [V]"]
     whole = np.delete(np.arange(2000), 900)
     np.testing.assert_array_equal(log.time, time[whole])
     assert log.segments == ((302, 1399), (1400, 1999))  # under 0.5 s before 300
+    # The command was there, and counts in the mean over the long tick.
+    assert log.signals["u"][899] == pytest.approx((u[899] + u[900]) / 2, rel=1e-12)
+    others = np.delete(np.arange(1999), 899)
+    np.testing.assert_array_equal(log.signals["u"][others], u[whole[others]])
     assert any("F is missing: 2" in note for note in log.notes)
     assert any("P_a1 is missing: 2" in note for note in log.notes)
 
