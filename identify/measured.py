@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import interpolate, signal
@@ -10,6 +11,9 @@ from scipy import interpolate, signal
 from ..rig import bare_rig
 from ..rigfile import RigSpec
 from ..signals import Log
+
+FLAT = 1.5
+"""How much a spectrum's last fifth may fall below its middle and still be a floor."""
 
 CHANNELS = ("P_a1", "P_a2", "F")
 """What a replay can predict, in the order of `Windows.measured`."""
@@ -70,6 +74,67 @@ def smooth(t: np.ndarray, y: np.ndarray, cut: float) -> interpolate.BSpline:
     return interpolate.make_smoothing_spline(t, y, lam=1 / (h * (2 * np.pi * cut) ** 4))
 
 
+@dataclass(frozen=True)
+class Blur:
+    """The noise of a measured signal that drives a replay; SI.
+
+    Attributes:
+        sigma: its standard deviation, as far as it is white.
+        step: between the values that the sensor gives, where that makes the noise; 0
+            where it does not.
+        cut: Hz, up to which the signal stands clear of the noise.
+    """
+
+    sigma: float
+    step: float
+    cut: float
+
+    def calm(self, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """The signal smoothed up to where it sinks in its noise."""
+        return smooth(t, y, self.cut)(t)
+
+    def again(self, y: np.ndarray, seed: int = 0) -> np.ndarray:
+        """The signal measured once more by such a sensor."""
+        draw = np.random.default_rng(seed)
+        if self.step:
+            offset = draw.uniform()
+            return (np.round(y / self.step + offset) - offset) * self.step
+        return y + self.sigma * draw.normal(size=y.size)
+
+
+def blur_of(pieces: Iterable[tuple[np.ndarray, np.ndarray]]) -> Blur | None:
+    """A signal's noise, the median over pieces (time, signal); None where there is no
+    frequency above which they hold nothing else.
+    """
+    found = [b for t, y in pieces if (b := _blur(t, y))]
+    if not found:
+        return None
+    sigma, step, cut = np.median([(b.sigma, b.step, b.cut) for b in found], axis=0)
+    return Blur(float(sigma), float(step), float(cut))
+
+
+def _blur(t: np.ndarray, y: np.ndarray) -> Blur | None:
+    h = float(np.median(np.diff(t)))
+    even = np.interp(np.arange(t[0], t[-1], h), t, y)
+    f, power = signal.welch(even, 1 / h, nperseg=min(2048, even.size), detrend="linear")
+    end = f[-1]
+    floor = float(np.median(power[f > 0.8 * end]))
+    if floor <= 0 or np.median(power[(f > 0.4 * end) & (f < 0.6 * end)]) > FLAT * floor:
+        return None
+    sigma = np.sqrt(floor * end)
+    # Least squares: what smoothing takes off the signal, and leaves of the noise.
+    cuts = f[2 : int(0.8 * f.size)]
+    passes = 1 / (1 + (f / cuts[:, None]) ** 4)
+    clear = np.maximum(power - floor, 0.0)
+    cost = (1 - passes) ** 2 @ clear + floor * np.sum(passes**2, axis=1)
+    cut = cuts[np.argmin(cost)]
+    if cut == cuts[-1]:
+        return None
+    steps = np.diff(np.unique(y))
+    step = float(np.min(steps[steps > 1e-12 * np.ptp(y)]))
+    return Blur(float(sigma), step if step / np.sqrt(12) > 0.5 * sigma else 0.0, cut)
+
+
 def channel_noise(logs: Sequence[Log], spec: RigSpec, driven_by: str) -> np.ndarray:
     """Noise of each channel, from the rig file or the logs; inf where not compared."""
     out = np.full(3, np.inf)
@@ -93,7 +158,7 @@ def supply_noise_of(logs: Sequence[Log], spec: RigSpec) -> float:
         return 0.0
     if "P_s" in spec.sensors:
         return spec.sensors["P_s"]
-    return _level(logs, "P_s")
+    return level(logs, "P_s")
 
 
 def force_areas(spec: RigSpec) -> tuple[float, float]:
@@ -102,7 +167,7 @@ def force_areas(spec: RigSpec) -> tuple[float, float]:
     return float(rig.force_area_1), float(rig.force_area_2)
 
 
-def _level(logs: Sequence[Log], name: str) -> float:
+def level(logs: Sequence[Log], name: str) -> float:
     """Noise of one signal over the logs' whole stretches, in its own unit."""
     each = [
         estimate_noise(log.signals[name][slice(*rows)])
@@ -117,10 +182,10 @@ def _estimated(logs, spec, name, driven_by) -> float:
     """Noise of a channel from the logs; with what the drive brings into a force."""
     has = logs[0].signals
 
-    level = _level(logs, name) if name in has else 0.0
+    out = level(logs, name) if name in has else 0.0
     if name == "F" and driven_by != "u":
         areas = dict(zip(("P_a1", "P_a2"), force_areas(spec), strict=True))
         for drive, area in {**areas, "P": 1.0}.items():
             if drive in has and area > 0:
-                level = float(np.hypot(level, area * _level(logs, drive)))
-    return level
+                out = float(np.hypot(out, area * level(logs, drive)))
+    return out

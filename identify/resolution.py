@@ -1,19 +1,20 @@
-"""A position that is measured coarsely: its noise taken off as far as it goes, and
-what is left of it counted into the noise of the channels.
+"""What drives a replay and is measured coarsely: its noise taken off as far as it goes,
+and what is left of it counted into the noise of the channels.
 
 Oil and bristle answer a micrometre of the piston by some 10 kPa and 20 N. The paper's
 encoder resolves 0.06 um; one of 17 bits, or a potentiometer, some microns. Pressures
 and force are then foreseen worse than they are measured, and a trace would find effects
-that are the sensor's.
+that are the sensor's. So it is with pressures that drive: a lag smooths their noise,
+and would be taken for one of the load cell.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
-from scipy import signal
 
 from ..build import make_effects, make_rig
 from ..record import position
@@ -22,40 +23,21 @@ from ..rigfile import RigSpec
 from ..signals import Log
 from .coupled import answer
 from .fit import fit as fit_all
-from .measured import CHANNELS, smooth
+from .measured import CHANNELS, Blur, blur_of, force_areas, level
 from .prepare import Data
 from .problem import Problem, batch_of, free_parameters, in_play
 
-FLAT = 1.5
-"""How much a spectrum's last fifth may fall below its middle and still be a floor."""
-
-SPARE = 1.5
-"""Times the best cut at which the spline is set: it begins to smooth well below."""
-
 COUNTS = 0.3
-"""Share of a channel's noise that the position must bring to be dealt with."""
+"""Share of a channel's noise that what drives must bring to be dealt with."""
 
 
-@dataclass(frozen=True)
-class Blur:
-    """The noise of a measured position.
-
-    Attributes:
-        sigma: its standard deviation, m, as far as it is white.
-        step: m, between the values that the sensor gives, where that makes the noise; 0
-            where it does not.
-        cut: Hz, up to which motion stands clear of the noise.
-    """
-
-    sigma: float
-    step: float
-    cut: float
+Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """Logs with the position as good as it gets, and those to fit made ready, with what
-    is left of the position's noise in that of the channels.
+    """Logs with what drives them as good as it gets, and those to fit made ready, with
+    what is left of its noise in that of the channels.
     """
 
     fitted: tuple[Log, ...]
@@ -64,7 +46,7 @@ class Resolved:
     notes: tuple[str, ...] = ()
 
 
-def resolve(
+def resolve_position(
     fitted: tuple[Log, ...],
     others: tuple[Log, ...],
     spec: RigSpec,
@@ -73,7 +55,7 @@ def resolve(
 ) -> Resolved:
     """Smooth the position where its noise shows in what it drives.
 
-    For logs that u drives: otherwise the motion is taken in a band of its own already.
+    For logs that u drives: otherwise motion is taken in a band of its own already.
 
     Args:
         fitted: the logs to fit.
@@ -83,13 +65,13 @@ def resolve(
         ready: makes logs ready, with a noise of the channels [3].
     """
     noise, logs = fit.noise, (*fitted, *others)
-    blur = blur_of(logs, spec)
+    blur = blur_of(_stretches(logs, lambda log: position(log, spec)))
     rig = make_rig(spec, make_effects(spec.effects, spec, fit.travel))
     if blur is None or not _matters(blur, rig, fit):
         return Resolved(fitted, others, fit)
-    calm = tuple(_calmed(log, spec, blur) for log in logs)
+    calm = tuple(_moved(log, spec, blur.calm) for log in logs)
     fitted, others = calm[: len(fitted)], calm[len(fitted) :]
-    again = [_calmed(_measured(log, spec, blur), spec, blur) for log in calm]
+    again = [_moved(log, spec, partial(_again, blur)) for log in calm]
 
     def problem_of(data: Data) -> Problem:
         return Problem.of(rig, free_parameters(spec), data)
@@ -124,35 +106,73 @@ def resolve(
     return Resolved(fitted, others, data, (note,))
 
 
-def blur_of(logs: Sequence[Log], spec: RigSpec) -> Blur | None:
-    """The position's noise, the median over the logs' stretches; None where there is no
-    frequency above which a log holds nothing else.
+def resolve_drive(
+    fitted: tuple[Log, ...],
+    others: tuple[Log, ...],
+    spec: RigSpec,
+    fit: Data,
+    ready: Callable[[Sequence[Log], np.ndarray], Data],
+) -> Resolved:
+    """Smooth pressures that drive, where their noise shows in the force.
+
+    Arguments as those of `resolve_position`.
     """
-    found = [b for log in logs for rows in log.segments if (b := _one(log, spec, rows))]
-    if not found:
-        return None
-    sigma, step, cut = np.median([(b.sigma, b.step, b.cut) for b in found], axis=0)
-    return Blur(float(sigma), float(step), float(cut))
+    logs = (*fitted, *others)
+    has = logs[0].signals
+    own = spec.sensors.get("F", level(logs, "F") if "F" in has else 0.0)
+    areas = dict(zip(("P_a1", "P_a2"), force_areas(spec), strict=True))
+    blurs: dict[str, Blur] = {}
+    for name in (n for n in areas if n in has and areas[n] > 0):
+        pieces = _stretches(logs, lambda log, name=name: log.signals[name])
+        if blur := blur_of(pieces):
+            blurs[name] = blur
+    if np.linalg.norm([areas[n] * b.sigma for n, b in blurs.items()]) <= COUNTS * own:
+        return Resolved(fitted, others, fit)
+    square = own**2
+    for name, blur in blurs.items():
+        logs = tuple(_smoothed(log, name, blur.calm) for log in logs)
+        again = (_smoothed(log, name, partial(_again, blur)) for log in logs)
+        off = [
+            np.sqrt(np.mean((b - a) ** 2))
+            for (_, a), (_, b) in zip(
+                _stretches(logs, lambda log, name=name: log.signals[name]),
+                _stretches(tuple(again), lambda log, name=name: log.signals[name]),
+                strict=True,
+            )
+        ]
+        square += (areas[name] * max(off)) ** 2
+    data = ready(logs[: len(fitted)], np.array([np.inf, np.inf, np.sqrt(square)]))
+    known = ", ".join(f"{n} by {b.sigma / 1e3:.2g} kPa" for n, b in blurs.items())
+    note = (
+        f"the pressures drive, and are noisy ({known}): they were smoothed above "
+        f"{min(b.cut for b in blurs.values()):.0f} Hz; what is left moves F by "
+        f"{np.sqrt(square - own**2):.2g} N RMS, which is counted into its noise"
+    )
+    return Resolved(logs[: len(fitted)], logs[len(fitted) :], data, (note,))
 
 
-def _one(log: Log, spec: RigSpec, rows: tuple[int, int]) -> Blur | None:
-    t, x = log.time[slice(*rows)], position(log, spec)[slice(*rows)]
-    h = float(np.median(np.diff(t)))
-    even = np.interp(np.arange(t[0], t[-1], h), t, x)
-    f, power = signal.welch(even, 1 / h, nperseg=min(2048, even.size), detrend="linear")
-    end = f[-1]
-    floor = float(np.median(power[f > 0.8 * end]))
-    if floor <= 0 or np.median(power[(f > 0.4 * end) & (f < 0.6 * end)]) > FLAT * floor:
-        return None
-    # Least squares: the motion that is lost above a cut, and the noise kept below it.
-    lost = np.cumsum(np.maximum(power - floor, 0.0)[::-1])[::-1]
-    sigma = np.sqrt(floor * end)
-    cut = SPARE * f[np.argmin(lost + floor * np.arange(f.size))]
-    if cut > 0.4 / h:
-        return None
-    steps = np.diff(np.unique(x))
-    step = float(np.min(steps[steps > 1e-12 * np.ptp(x)]))
-    return Blur(float(sigma), step if step / np.sqrt(12) > 0.5 * sigma else 0.0, cut)
+def _smoothed(log: Log, name: str, change: Change) -> Log:
+    """The log with one of its signals changed."""
+    values = _changed(log, log.signals[name], change)
+    return replace(log, signals={**log.signals, name: values})
+
+
+def _stretches(
+    logs: Sequence[Log], values: Callable[[Log], np.ndarray]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Time and a signal in every stretch without gaps."""
+    for log in logs:
+        y = values(log)
+        for rows in log.segments:
+            yield log.time[slice(*rows)], y[slice(*rows)]
+
+
+def _again(blur: Blur, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A calmed signal measured once more by such a sensor, and calmed again.
+
+    Beside it as it is, this shows what noise is left, and what smoothing takes off.
+    """
+    return blur.calm(t, blur.again(y))
 
 
 def _matters(blur: Blur, rig: Rig, data: Data) -> bool:
@@ -164,43 +184,25 @@ def _matters(blur: Blur, rig: Rig, data: Data) -> bool:
     return bool(np.any(left * answer(rig, batch_of(data)) > COUNTS * data.noise))
 
 
-def _calmed(log: Log, spec: RigSpec, blur: Blur) -> Log:
-    """The log with its position smoothed up to where motion sinks in the noise."""
-
-    def calm(t: np.ndarray, x: np.ndarray) -> np.ndarray:
-        return smooth(t, x, blur.cut)(t)
-
-    return _replaced(log, spec, calm)
-
-
-def _measured(log: Log, spec: RigSpec, blur: Blur) -> Log:
-    """The log with its position measured once more by such a sensor."""
-    draw = np.random.default_rng(0)
-
-    def measured(t: np.ndarray, x: np.ndarray) -> np.ndarray:
-        if blur.step:
-            offset = draw.uniform()
-            return (np.round(x / blur.step + offset) - offset) * blur.step
-        return x + blur.sigma * draw.normal(size=x.size)
-
-    return _replaced(log, spec, measured)
-
-
 def _largest(change: np.ndarray, log: np.ndarray) -> np.ndarray:
     """RMS by channel, [3], of [W, T, 3], in that of the logs where it is largest."""
     square = np.mean(change**2, axis=1)
     return np.sqrt(np.max([square[log == i].mean(0) for i in np.unique(log)], axis=0))
 
 
-def _replaced(
-    log: Log, spec: RigSpec, change: Callable[[np.ndarray, np.ndarray], np.ndarray]
-) -> Log:
-    """The log with its position changed, stretch by stretch: `change(t, x)`, m."""
+def _moved(log: Log, spec: RigSpec, change: Change) -> Log:
+    """The log with its position changed, m."""
     key = "x" if "x" in log.signals else "psi"
     zero = spec.geometry.get("x_mid", 0.0) if key == "x" else 0.0
     radius = 1.0 if key == "x" else spec.geometry["radius"]
-    values, x = log.signals[key].copy(), position(log, spec)
+    x = _changed(log, position(log, spec), change)
+    return replace(log, signals={**log.signals, key: (x + zero) / radius})
+
+
+def _changed(log: Log, y: np.ndarray, change: Change) -> np.ndarray:
+    """A log's signal changed in every stretch: `change(t, y)`."""
+    y = y.copy()
     for rows in log.segments:
         own = slice(*rows)
-        values[own] = (change(log.time[own], x[own]) + zero) / radius
-    return replace(log, signals={**log.signals, key: values})
+        y[own] = change(log.time[own], y[own])
+    return y

@@ -34,7 +34,7 @@ from .problem import (
     in_play,
 )
 from .profile import profiles
-from .resolution import resolve
+from .resolution import resolve_drive, resolve_position
 from .segments import common_band
 from .starts import best_start
 from .state import Tracing
@@ -121,13 +121,15 @@ def open_case(
 
     fit = ready(fitted, noise)
     notes: tuple[str, ...] = ()
-    if driven_by == "u":
-        found = resolve(fitted, others, spec, fit, ready)
+    ways = {"u": resolve_position, "pressures": resolve_drive}
+    if driven_by in ways:
+        found = ways[driven_by](fitted, others, spec, fit, ready)
         fitted, others, fit, notes = found.fitted, found.others, found.fit, found.notes
     sign = -1.0 if runs_backward(fit) else 1.0
     if sign < 0:
-        fit = ready(fitted, noise, sign)
+        fit = ready(fitted, fit.noise, sign)
         notes = (
+            *notes,
             "friction as logged drives the motion: the position runs against the "
             "rig's sign (P pushes toward positive v), so it was turned round; say so "
             "in the rig file with invert = true under [channels]",

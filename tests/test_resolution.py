@@ -10,12 +10,12 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hydrojax.identify import run
-from hydrojax.identify.resolution import blur_of
+from hydrojax.identify.measured import Blur, blur_of
 
-from hydrojax.build import load_rig
-from hydrojax.signals import Log, read_log
+from hydrojax.signals import read_log
 from tests import generator
 
 TIME = np.arange(12_000) * 1e-3
@@ -25,35 +25,32 @@ MOTION = sum(
 )
 
 
-def log_of(x: np.ndarray) -> Log:
-    return Log("x", TIME, {"x": x}, {}, (), 0, ((0, TIME.size),), ())
-
-
-@pytest.fixture
-def spec(recorded):
-    return load_rig(recorded(1) / "rig.toml")
+def blur(x: np.ndarray) -> Blur | None:
+    return blur_of([(TIME, x)])
 
 
 @pytest.mark.parametrize("sigma", [0.5e-6, 8e-6])
-def test_white_noise_of_a_position_is_measured(spec, sigma):
+def test_white_noise_of_a_position_is_measured(sigma):
     noise = sigma * np.random.default_rng(1).normal(size=TIME.size)
-    blur = blur_of([log_of(MOTION + noise)], spec)
-    assert blur.sigma == pytest.approx(sigma, rel=0.1)
-    assert blur.step == 0.0
-    assert 17.0 < blur.cut < 60.0
+    found = blur(MOTION + noise)
+    assert found.sigma == pytest.approx(sigma, rel=0.1)
+    assert found.step == 0.0
+    assert 17.0 < found.cut < 100.0
+    left = found.calm(TIME, MOTION + noise) - MOTION
+    assert np.std(left[300:-300]) < 0.5 * sigma
 
 
-def test_steps_of_a_position_are_seen(spec):
+def test_steps_of_a_position_are_seen():
     step = 5e-6
-    blur = blur_of([log_of(np.round(MOTION / step) * step)], spec)
-    assert blur.step == pytest.approx(step, rel=1e-6)
-    assert blur.sigma == pytest.approx(step / math.sqrt(12), rel=0.2)
+    found = blur(np.round(MOTION / step) * step)
+    assert found.step == pytest.approx(step, rel=1e-6)
+    assert found.sigma == pytest.approx(step / math.sqrt(12), rel=0.2)
 
 
-def test_motion_without_noise_has_none(spec):
-    """What falls all the way to the end of the spectrum has no floor to smooth at."""
+def test_motion_without_a_floor_has_no_noise():
+    """What falls all the way to the end of the spectrum."""
     rough = np.cumsum(np.random.default_rng(2).normal(size=TIME.size)) * 1e-6
-    assert blur_of([log_of(rough)], spec) is None
+    assert blur(rough) is None
 
 
 def coarse_case(folder: Path, monkeypatch, bits: int, effects=None) -> run.Case:
@@ -91,3 +88,30 @@ def test_under_a_coarse_encoder_an_effect_is_still_named(tmp_path, monkeypatch):
     assert found.verdict == "explained", found.sentence
     c_il = found.effects[0].parameters["c_il"].value
     assert c_il == pytest.approx(effects["internal_leakage"]["c_il"], rel=0.03)
+
+
+def without_command(case: Path, folder: Path) -> run.Case:
+    """The case with its pressures as what drives."""
+    for name in ("fit_1", "fit_2", "validate"):
+        log = pd.read_csv(case / f"{name}.csv").drop(columns="u [V]")
+        log.to_csv(folder / f"{name}.csv", index=False)
+    logs = [folder / f"{name}.csv" for name in ("fit_1", "fit_2")]
+    return run.open_case(case / "rig.toml", logs, [folder / "validate.csv"])
+
+
+def test_noise_of_pressures_that_drive_is_not_taken_for_a_lag(recorded, tmp_path):
+    """9 kPa on 11.8 cm^2 twice are 15 N, six times the load cell's noise."""
+    case = without_command(recorded(1), tmp_path)
+    assert any("the pressures drive, and are noisy" in note for note in case.fit.notes)
+    assert 3.0 < case.fit.noise[2] < 10.0
+    found = run.trace_case(case)
+    assert found.verdict == "nothing missing" and not found.effects
+
+
+def test_friction_is_named_where_noisy_pressures_drive(recorded, tmp_path):
+    effects = {"stribeck": generator.CATALOGUE["stribeck"]}
+    found = run.trace_case(without_command(recorded(6, effects), tmp_path))
+    assert [e.name for e in found.effects] == ["stribeck"]
+    assert found.verdict == "explained", found.sentence
+    k_st = found.effects[0].parameters["k_st"].value
+    assert k_st == pytest.approx(effects["stribeck"]["k_st"], rel=0.05)
