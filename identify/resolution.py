@@ -120,7 +120,9 @@ def resolve_drive(
     logs = (*fitted, *others)
     has = logs[0].signals
     own = spec.sensors.get("F", level(logs, "F") if "F" in has else 0.0)
-    areas = dict(zip(("P_a1", "P_a2"), force_areas(spec), strict=True))
+    areas: dict[str, float] = dict(
+        zip(("P_a1", "P_a2"), force_areas(spec), strict=True)
+    )
     blurs: dict[str, Blur] = {}
     for name in (n for n in areas if n in has and areas[n] > 0):
         pieces = _stretches(logs, lambda log, name=name: log.signals[name])

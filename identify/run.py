@@ -109,12 +109,10 @@ def open_case(
                 f"{log.name}: u is in [{unit}], but {rig} or another log is per "
                 f"[{spec.command_unit}]: bring them to one unit"
             )
-    logs = (*fitted, *others)
-    driven_by = driver(logs, spec)
-    band, noise = (
-        common_band(logs, spec, driven_by),
-        channel_noise(logs, spec, driven_by),
-    )
+    every = (*fitted, *others)
+    driven_by = driver(every, spec)
+    band = common_band(every, spec, driven_by)
+    noise = channel_noise(every, spec, driven_by)
 
     def ready(logs: Sequence[Log], noise: np.ndarray, sign: float = 1.0) -> Data:
         return prepare(logs, spec, horizon, noise, sign, band)
