@@ -312,8 +312,11 @@ def _merge(arrays: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:
 
 def _holed(signals: Mapping[str, np.ndarray]) -> np.ndarray:
     """Which rows lack a number that counts."""
-    holes = [np.isnan(y) for name, y in signals.items() if name not in ("time", "F_d")]
-    return np.any(holes, axis=0) if holes else np.zeros(1, dtype=bool)
+    out = np.zeros(len(next(iter(signals.values()))), dtype=bool)
+    for name, values in signals.items():
+        if name not in ("time", "F_d"):
+            out |= np.isnan(values)
+    return out
 
 
 def _without_lone_holes(

@@ -82,7 +82,7 @@ class Blur:
         sigma: its standard deviation, as far as it is white.
         step: between the values that the sensor gives, where that makes the noise; 0
             where it does not.
-        cut: Hz, up to which the signal stands clear of the noise.
+        cut: Hz at which a smoothing spline errs least; inf if smoothing does not pay.
     """
 
     sigma: float
@@ -90,8 +90,8 @@ class Blur:
     cut: float
 
     def calm(self, t: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """The signal smoothed up to where it sinks in its noise."""
-        return smooth(t, y, self.cut)(t)
+        """The signal as near to the truth as smoothing brings it."""
+        return smooth(t, y, self.cut)(t) if np.isfinite(self.cut) else y
 
     def again(self, y: np.ndarray, seed: int = 0) -> np.ndarray:
         """The signal measured once more by such a sensor."""
@@ -103,20 +103,28 @@ class Blur:
 
 
 def blur_of(pieces: Iterable[tuple[np.ndarray, np.ndarray]]) -> Blur | None:
-    """A signal's noise, the median over pieces (time, signal); None where there is no
-    frequency above which they hold nothing else.
+    """A signal's noise, the median over pieces (time, signal) of some rows; None where
+    their spectra have no floor.
     """
     found = [b for t, y in pieces if (b := _blur(t, y))]
     if not found:
         return None
-    sigma, step, cut = np.median([(b.sigma, b.step, b.cut) for b in found], axis=0)
-    return Blur(float(sigma), float(step), float(cut))
+    sigma = float(np.median([b.sigma for b in found]))
+    cut = float(np.median([b.cut for b in found]))
+    steps = [b.step for b in found if b.step]
+    step = float(np.median(steps)) if 2 * len(steps) > len(found) else 0.0
+    return Blur(sigma, step, cut)
 
 
 def _blur(t: np.ndarray, y: np.ndarray) -> Blur | None:
-    h = float(np.median(np.diff(t)))
-    even = np.interp(np.arange(t[0], t[-1], h), t, y)
-    f, power = signal.welch(even, 1 / h, nperseg=min(2048, even.size), detrend="linear")
+    if np.ptp(y) == 0:
+        return None
+    # Moved to even times along its own slope: interpolating would smooth the noise.
+    h = (t[-1] - t[0]) / (t.size - 1)
+    slope = signal.savgol_filter(y, 11, 2, deriv=1) / h
+    even = y + slope * (t[0] + h * np.arange(t.size) - t)
+    size = min(2048, max(y.size // 4, 16))
+    f, power = signal.welch(even, 1 / h, nperseg=size, detrend="linear")
     end = f[-1]
     floor = float(np.median(power[f > 0.8 * end]))
     if floor <= 0 or np.median(power[(f > 0.4 * end) & (f < 0.6 * end)]) > FLAT * floor:
@@ -127,9 +135,8 @@ def _blur(t: np.ndarray, y: np.ndarray) -> Blur | None:
     passes = 1 / (1 + (f / cuts[:, None]) ** 4)
     clear = np.maximum(power - floor, 0.0)
     cost = (1 - passes) ** 2 @ clear + floor * np.sum(passes**2, axis=1)
-    cut = cuts[np.argmin(cost)]
-    if cut == cuts[-1]:
-        return None
+    best = int(np.argmin(cost))
+    cut = float(cuts[best]) if best < cuts.size - 1 else np.inf
     steps = np.diff(np.unique(y))
     step = float(np.min(steps[steps > 1e-12 * np.ptp(y)]))
     return Blur(float(sigma), step if step / np.sqrt(12) > 0.5 * sigma else 0.0, cut)
@@ -183,7 +190,7 @@ def _estimated(logs, spec, name, driven_by) -> float:
     has = logs[0].signals
 
     out = level(logs, name) if name in has else 0.0
-    if name == "F" and driven_by != "u":
+    if name == "F" and (driven_by != "u" or "F" not in has):
         areas = dict(zip(("P_a1", "P_a2"), force_areas(spec), strict=True))
         for drive, area in {**areas, "P": 1.0}.items():
             if drive in has and area > 0:

@@ -18,6 +18,9 @@ from .windows import LEAD, PRE, SETTLE, cut, motion, spread, starts_in
 SLOWEST = 0.05
 """s between rows up to which a command is replayed: a chamber settles in far less."""
 
+FEWEST = 20
+"""Rows that a stretch without gaps has to have more than."""
+
 MOST_TICKS = 80_000
 """Ticks that a fit or a check takes in: more only cost time."""
 
@@ -93,10 +96,12 @@ def prepare(
         (i, slice(*own))
         for i, log in enumerate(logs)
         for own in log.segments
-        if own[1] - own[0] > 20
+        if own[1] - own[0] > FEWEST
     ]
     if not rows:
-        raise InputError(f"{logs[0].name}: no stretch without gaps has over 20 rows")
+        raise InputError(
+            f"{logs[0].name}: no stretch without gaps has over {FEWEST} rows"
+        )
     h = float(np.median(np.concatenate([np.diff(logs[i].time[r]) for i, r in rows])))
     if driven_by == "u" and h > SLOWEST:
         raise InputError(

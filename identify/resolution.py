@@ -24,8 +24,11 @@ from ..signals import Log
 from .coupled import answer
 from .fit import fit as fit_all
 from .measured import CHANNELS, Blur, blur_of, force_areas, level
-from .prepare import Data
+from .prepare import FEWEST, Data
 from .problem import Problem, batch_of, free_parameters, in_play
+
+BENT = 4.0
+"""Times what the fitted rig says that the rig as the file has it may say."""
 
 COUNTS = 0.3
 """Share of a channel's noise that what drives must bring to be dealt with."""
@@ -86,10 +89,13 @@ def resolve_position(
     # file may be off, and one that is fitted without what it lacks may be bent.
     start = problem_of(one).initial_values()
     extra = brought(start)
+    if not np.isfinite(extra[np.isfinite(noise)]).all():
+        return Resolved(fitted, others, ready(fitted, noise))
     data = ready(fitted, np.hypot(noise, extra))
     problem = problem_of(data)
     _, point = fit_all(problem, start, in_play(problem, data))
-    extra = np.maximum(extra, brought(point.values))
+    found = brought(point.values)
+    extra = np.clip(extra, found, BENT * found)
     moves = ", ".join(
         f"{name} by {size / per:.2g} {unit}"
         for name, size, per, unit in zip(
@@ -98,9 +104,8 @@ def resolve_position(
         if np.isfinite(noise[CHANNELS.index(name)])
     )
     note = (
-        f"the position is known to {1e6 * blur.sigma:.2g} um: it was smoothed above "
-        f"{blur.cut:.0f} Hz; what is left of its noise moves {moves} RMS, which is "
-        "counted into their noise"
+        f"the position is known to {1e6 * blur.sigma:.2g} um: {_said(blur)} what is "
+        f"left of its noise moves {moves} RMS, which is counted into their noise"
     )
     data = replace(data, noise=np.hypot(noise, extra))
     return Resolved(fitted, others, data, (note,))
@@ -130,7 +135,8 @@ def resolve_drive(
             blurs[name] = blur
     if np.linalg.norm([areas[n] * b.sigma for n, b in blurs.items()]) <= COUNTS * own:
         return Resolved(fitted, others, fit)
-    square = own**2
+    silent = [n for n in areas if n in has and n not in blurs]
+    square = own**2 + sum((areas[n] * level(logs, n)) ** 2 for n in silent)
     for name, blur in blurs.items():
         logs = tuple(_smoothed(log, name, blur.calm) for log in logs)
         again = (_smoothed(log, name, partial(_again, blur)) for log in logs)
@@ -146,11 +152,17 @@ def resolve_drive(
     data = ready(logs[: len(fitted)], np.array([np.inf, np.inf, np.sqrt(square)]))
     known = ", ".join(f"{n} by {b.sigma / 1e3:.2g} kPa" for n, b in blurs.items())
     note = (
-        f"the pressures drive, and are noisy ({known}): they were smoothed above "
-        f"{min(b.cut for b in blurs.values()):.0f} Hz; what is left moves F by "
+        f"the pressures drive, and are noisy ({known}): "
+        f"{_said(min(blurs.values(), key=lambda b: b.cut))} what is left moves F by "
         f"{np.sqrt(square - own**2):.2g} N RMS, which is counted into its noise"
     )
     return Resolved(logs[: len(fitted)], logs[len(fitted) :], data, (note,))
+
+
+def _said(blur: Blur) -> str:
+    if np.isinf(blur.cut):
+        return "smoothing would not help;"
+    return f"smoothed above {blur.cut:.0f} Hz;"
 
 
 def _smoothed(log: Log, name: str, change: Change) -> Log:
@@ -165,8 +177,9 @@ def _stretches(
     """Time and a signal in every stretch without gaps."""
     for log in logs:
         y = values(log)
-        for rows in log.segments:
-            yield log.time[slice(*rows)], y[slice(*rows)]
+        for start, stop in log.segments:
+            if stop - start > FEWEST:
+                yield log.time[start:stop], y[start:stop]
 
 
 def _again(blur: Blur, t: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -204,7 +217,8 @@ def _moved(log: Log, spec: RigSpec, change: Change) -> Log:
 def _changed(log: Log, y: np.ndarray, change: Change) -> np.ndarray:
     """A log's signal changed in every stretch: `change(t, y)`."""
     y = y.copy()
-    for rows in log.segments:
-        own = slice(*rows)
-        y[own] = change(log.time[own], y[own])
+    for start, stop in log.segments:
+        if stop - start > FEWEST:
+            own = slice(start, stop)
+            y[own] = change(log.time[own], y[own])
     return y

@@ -230,6 +230,12 @@ def test_a_lone_hole_costs_its_row(tmp_path: Path) -> None:
     assert any("P_a1 is missing: 2" in note for note in log.notes)
 
 
+def test_a_log_of_nothing_but_what_is_desired(tmp_path: Path) -> None:
+    run = a_run()
+    both = {"time [s]": run["time [s]"], "F_d [N]": 1e3 * run["F [kN]"]}
+    assert read_log(write(tmp_path / "log.csv", both)).segments == ((0, 2000),)
+
+
 def test_desired_force_and_ignored_columns_do_not_cut(tmp_path: Path) -> None:
     holes = a_run()["F [kN]"]
     holes[900] = np.nan

@@ -40,6 +40,23 @@ def test_white_noise_of_a_position_is_measured(sigma):
     assert np.std(left[300:-300]) < 0.5 * sigma
 
 
+@pytest.mark.parametrize("rate", [100.0, 512.0, 1000.3, 1024.0, 3000.0])
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+def test_noise_is_measured_at_any_rate(rate, jitter):
+    """Stamps with six digits, and uneven by a tenth of a tick."""
+    draw = np.random.default_rng(3)
+    ticks = np.arange(int(12 * rate))
+    t = np.round((ticks + jitter * draw.uniform(-1, 1, ticks.size)) / rate, 6)
+    motion = 9e-3 * np.sin(2 * np.pi * 0.4 * t) + 4e-4 * np.sin(2 * np.pi * 5.0 * t)
+    found = blur_of([(t, motion + 2e-6 * draw.normal(size=t.size))])
+    assert found.sigma == pytest.approx(2e-6, rel=0.2)
+    assert np.std((found.calm(t, motion) - motion)[100:-100]) < 2e-6
+
+
+def test_a_still_piece_says_nothing():
+    assert blur_of([(TIME[:1000] + 17.3, np.full(1000, 0.1))]) is None
+
+
 def test_steps_of_a_position_are_seen():
     step = 5e-6
     found = blur(np.round(MOTION / step) * step)
