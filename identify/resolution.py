@@ -43,37 +43,56 @@ class Resolved:
     what is left of its noise in that of the channels.
     """
 
-    fitted: tuple[Log, ...]
-    others: tuple[Log, ...]
+    logs: tuple[Log, ...]
     fit: Data
     notes: tuple[str, ...] = ()
 
 
-def resolve_position(
-    fitted: tuple[Log, ...],
-    others: tuple[Log, ...],
-    spec: RigSpec,
-    fit: Data,
-    ready: Callable[[Sequence[Log], np.ndarray], Data],
-) -> Resolved:
-    """Smooth the position where its noise shows in what it drives.
+Ready = Callable[[Sequence[Log], np.ndarray], Data]
+"""What makes logs ready, with a noise of the channels [3], SI."""
 
-    For logs that u drives: otherwise motion is taken in a band of its own already.
+
+def resolve(
+    logs: tuple[Log, ...], count: int, spec: RigSpec, fit: Data, ready: Ready
+) -> Resolved:
+    """Smooth what drives the logs where its noise shows in what is replayed.
+
+    That is the position where u drives, or the pressures where they do; a log that P
+    drives is compared in a band of its own already.
 
     Args:
-        fitted: the logs to fit.
-        others: logs that take no part, but for how noisy they are.
+        logs: all of them; the first `count` are to be fitted, the others take no part
+            but for how noisy they are.
+        count: see `logs`.
         spec: the rig they were recorded on.
         fit: what the logs to fit gave as they are.
-        ready: makes logs ready, with a noise of the channels [3].
+        ready: see `Ready`.
     """
-    noise, logs = fit.noise, (*fitted, *others)
+    found = None
+    if fit.driven_by == "u":
+        found = _position(logs, count, spec, fit, ready)
+    elif fit.driven_by == "pressures":
+        found = _drive(logs, spec)
+    if found is None:
+        return Resolved(logs, fit)
+    calm, noise, note = found
+    return Resolved(calm, ready(calm[:count], noise), (note,))
+
+
+Calmed = tuple[tuple[Log, ...], np.ndarray, str]
+"""Logs with what drives smoothed, the channels' noise [3] with it, SI, and a remark."""
+
+
+def _position(
+    logs: tuple[Log, ...], count: int, spec: RigSpec, fit: Data, ready: Ready
+) -> Calmed | None:
+    """Smooth the position; None where its noise does not show."""
+    noise = fit.noise
     blur = blur_of(_stretches(logs, lambda log: position(log, spec)))
     rig = make_rig(spec, make_effects(spec.effects, spec, fit.travel))
     if blur is None or not _matters(blur, rig, fit):
-        return Resolved(fitted, others, fit)
+        return None
     calm = tuple(_moved(log, spec, blur.calm) for log in logs)
-    fitted, others = calm[: len(fitted)], calm[len(fitted) :]
     again = [_moved(log, spec, partial(_again, blur)) for log in calm]
 
     def problem_of(data: Data) -> Problem:
@@ -90,11 +109,12 @@ def resolve_position(
     start = problem_of(one).initial_values()
     extra = brought(start)
     if not np.isfinite(extra[np.isfinite(noise)]).all():
-        return Resolved(fitted, others, ready(fitted, noise))
-    data = ready(fitted, np.hypot(noise, extra))
+        return None  # the fit will say that the model has no finite answer
+    data = ready(calm[:count], np.hypot(noise, extra))
     problem = problem_of(data)
     _, point = fit_all(problem, start, in_play(problem, data))
     found = brought(point.values)
+    found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, BENT * found)
     moves = ", ".join(
         f"{name} by {size / per:.2g} {unit}"
@@ -107,22 +127,11 @@ def resolve_position(
         f"the position is known to {1e6 * blur.sigma:.2g} um: {_said(blur)} what is "
         f"left of its noise moves {moves} RMS, which is counted into their noise"
     )
-    data = replace(data, noise=np.hypot(noise, extra))
-    return Resolved(fitted, others, data, (note,))
+    return calm, np.hypot(noise, extra), note
 
 
-def resolve_drive(
-    fitted: tuple[Log, ...],
-    others: tuple[Log, ...],
-    spec: RigSpec,
-    fit: Data,
-    ready: Callable[[Sequence[Log], np.ndarray], Data],
-) -> Resolved:
-    """Smooth pressures that drive, where their noise shows in the force.
-
-    Arguments as those of `resolve_position`.
-    """
-    logs = (*fitted, *others)
+def _drive(logs: tuple[Log, ...], spec: RigSpec) -> Calmed | None:
+    """Smooth pressures that drive; None where their noise does not show in F."""
     has = logs[0].signals
     own = spec.sensors.get("F", level(logs, "F") if "F" in has else 0.0)
     areas: dict[str, float] = dict(
@@ -134,7 +143,7 @@ def resolve_drive(
         if blur := blur_of(pieces):
             blurs[name] = blur
     if np.linalg.norm([areas[n] * b.sigma for n, b in blurs.items()]) <= COUNTS * own:
-        return Resolved(fitted, others, fit)
+        return None
     silent = [n for n in areas if n in has and n not in blurs]
     square = own**2 + sum((areas[n] * level(logs, n)) ** 2 for n in silent)
     for name, blur in blurs.items():
@@ -149,14 +158,13 @@ def resolve_drive(
             )
         ]
         square += (areas[name] * max(off)) ** 2
-    data = ready(logs[: len(fitted)], np.array([np.inf, np.inf, np.sqrt(square)]))
     known = ", ".join(f"{n} by {b.sigma / 1e3:.2g} kPa" for n, b in blurs.items())
     note = (
         f"the pressures drive, and are noisy ({known}): "
         f"{_said(min(blurs.values(), key=lambda b: b.cut))} what is left moves F by "
         f"{np.sqrt(square - own**2):.2g} N RMS, which is counted into its noise"
     )
-    return Resolved(logs[: len(fitted)], logs[len(fitted) :], data, (note,))
+    return logs, np.array([np.inf, np.inf, np.sqrt(square)]), note
 
 
 def _said(blur: Blur) -> str:

@@ -34,7 +34,7 @@ from .problem import (
     in_play,
 )
 from .profile import profiles
-from .resolution import resolve_drive, resolve_position
+from .resolution import resolve
 from .segments import common_band
 from .starts import best_start
 from .state import Tracing
@@ -44,7 +44,7 @@ from .uncertainty import Belief, believe
 
 Tell = Callable[[str], None]
 
-BLIND = 4
+BLIND_STARTS = 4
 """Starts at least where no pressure is measured: one often leads astray there."""
 
 TOLD = 3.0
@@ -118,11 +118,9 @@ def open_case(
         return prepare(logs, spec, horizon, noise, sign, band)
 
     fit = ready(fitted, noise)
-    notes: tuple[str, ...] = ()
-    ways = {"u": resolve_position, "pressures": resolve_drive}
-    if driven_by in ways:
-        found = ways[driven_by](fitted, others, spec, fit, ready)
-        fitted, others, fit, notes = found.fitted, found.others, found.fit, found.notes
+    found = resolve(every, len(fitted), spec, fit, ready)
+    fitted, others = found.logs[: len(fitted)], found.logs[len(fitted) :]
+    fit, notes = found.fit, found.notes
     sign = -1.0 if runs_backward(fit) else 1.0
     if sign < 0:
         fit = ready(fitted, fit.noise, sign)
@@ -187,7 +185,7 @@ def _fit_base(
         InputError: values of the rig file at `path` that have no finite answer.
     """
     values = problem.initial_values()
-    starts = max(starts, BLIND) if problem.blind else starts
+    starts = max(starts, BLIND_STARTS) if problem.blind else starts
     if starts > 1:
         tell(f"{starts} starts on every few windows")
         values = best_start(problem, values, free, starts)
