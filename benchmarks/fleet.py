@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from hydrojax.backend import set_up_jax, user_cache
+from hydrojax.jax_setup import set_up_jax, user_cache
 
 FREE = {
     "beta", "c_p1", "c_n1", "c_p2", "c_n2", "k_cp", "k_cn", "k_0", "k_vp", "k_vn",
@@ -43,9 +43,10 @@ def make_logs(folder: Path, count: int, lengths: int) -> Path:
         return table
     import equinox as eqx
 
-    from hydrojax import record, simulation
-    from hydrojax.build import load_rig, make_effects, make_rig
-    from hydrojax.controller import make_loop
+    from hydrojax.control import simulation
+    from hydrojax.rigfile import recording
+    from hydrojax.rigfile.build import load_rig, make_effects, make_rig
+    from hydrojax.rigfile.controller import make_loop
 
     set_up_jax(user_cache())
     source = Path(simulation.__file__).parent / "reference" / "rig.toml"
@@ -64,8 +65,8 @@ def make_logs(folder: Path, count: int, lengths: int) -> Path:
         loop = make_loop(spec, None, {})
         effects = make_effects(spec.effects, spec, (-0.05, 0.05))
         loop = eqx.tree_at(lambda lo: lo.rig, loop, make_rig(spec, effects))
-        course = record.read_course(spec, loop, seconds=2 * SECONDS[1], seed=i)
-        columns = record.columns(simulation.simulate(loop, course), spec)
+        scenario = recording.read_scenario(spec, loop, seconds=2 * SECONDS[1], seed=i)
+        columns = recording.columns(simulation.simulate(loop, scenario), spec)
         rows_of = {n: y for n, (_, y) in columns.items()}
         share = rng.integers(lengths) / (lengths - 1) if lengths > 1 else rng.uniform()
         length = int(1000 * (SECONDS[0] + share * (SECONDS[1] - SECONDS[0])))
@@ -74,7 +75,7 @@ def make_logs(folder: Path, count: int, lengths: int) -> Path:
             ("validate", slice(8000, 8000 + int(1000 * SECONDS[0]))),
         ):
             cut = {n: (columns[n][0], y[part]) for n, y in rows_of.items()}
-            record.write_log(folder / f"{name}_{i:04d}.parquet", cut)
+            recording.write_log(folder / f"{name}_{i:04d}.parquet", cut)
         logs = (f"fit_{i:04d}.parquet", f"validate_{i:04d}.parquet")
         rows.append((f"run {i}", "rig.toml", *logs, round(warm, 2), f"M{i % 5}"))
     names = ["job", "rig", "fit", "validate", "temperature [degC]", "machine"]

@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hydrojax.backend import set_up_jax
+from hydrojax.jax_setup import set_up_jax
 
 PUBLISHED = {
     "payload_inertia.m": 95.1089,
@@ -32,7 +32,8 @@ of EMPS, Workshop on Nonlinear System Identification Benchmarks, 2019. SI."""
 def main(data: str, *names: str) -> None:
     """Trace each rig folder under `data`, or those named."""
     set_up_jax()
-    from hydrojax.identify import run
+    from hydrojax.identify import api
+    from hydrojax.identify.case import open_case
 
     folders = [f for f in sorted(Path(data).iterdir()) if (f / "rig.toml").exists()]
     table = Table("rig", "verdict", "effects", "before / noise", "after / noise", "s")
@@ -43,8 +44,8 @@ def main(data: str, *names: str) -> None:
         began = time.perf_counter()
         logs = sorted(folder.glob("fit*"))
         others = sorted(folder.glob("validate*"))
-        case = run.open_case(folder / "rig.toml", logs, others)
-        outcome = run.trace_case(case)
+        case = open_case(folder / "rig.toml", logs, others)
+        outcome = api.trace_case(case)
         channels = outcome.channels.items()
         table.add_row(
             folder.name,
@@ -78,9 +79,9 @@ def _against_published(case, outcome, console: Console) -> None:
     Theirs twice: with friction by the sign of v, as published (a bristle of 0.1 um and
     no presliding), and with the bristle and the switch of this model.
     """
-    from hydrojax.identify import run
+    from hydrojax.identify import api
 
-    _, check, _, _ = run._problems(case, ["payload_inertia"])
+    _, check, _, _ = api._problems(case, ["payload_inertia"])
     names = check.model.names
     values = check.initial_values()
     for name, value in PUBLISHED.items():

@@ -22,10 +22,10 @@ import xarray as xr
 
 import hydrojax
 from benchmarks.fleet import Watch, make_logs
-from hydrojax.backend import set_up_jax, user_cache
-from hydrojax.fleet import run as fleet
-from hydrojax.fleet.report import write_report
-from hydrojax.fleet.work import memory
+from hydrojax.jax_setup import set_up_jax, user_cache
+from hydrojax.workflows.fleet import run as fleet
+from hydrojax.workflows.fleet.report import write_report
+from hydrojax.workflows.fleet.work import memory
 from tests.fleet_solvers import result
 
 CHUNK = 256
@@ -107,12 +107,12 @@ def side_by_side(folder: Path, count: int = 6) -> None:
     set_up_jax(user_cache())
     import jax
     import jax.numpy as jnp
-    from hydrojax.identify import problem as fits
-    from hydrojax.identify.columns import basis
-    from hydrojax.identify.run import open_case
-    from hydrojax.identify.solve import minimise
 
-    from hydrojax.build import make_effects, make_rig
+    from hydrojax.identify.case import open_case
+    from hydrojax.identify.estimation import problem as fits
+    from hydrojax.identify.estimation.columns import basis
+    from hydrojax.identify.estimation.solve import minimise
+    from hydrojax.rigfile.build import make_effects, make_rig
 
     make_logs(folder, 4 * count, 4)
     logs = sorted(folder.glob("fit_*.parquet"))

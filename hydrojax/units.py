@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
-from .errors import InputError
+from hydrojax.errors import InputError
 
 if TYPE_CHECKING:
     import pint

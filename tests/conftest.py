@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from hydrojax import cli
-from hydrojax.backend import set_up_jax
-from hydrojax.named import put
-from hydrojax.replay import Motion, Windows
-from hydrojax.rig import Rig, bare_rig
+from hydrojax.jax_setup import set_up_jax
+from hydrojax.plant.named import put
+from hydrojax.plant.replay import Motion, Windows
+from hydrojax.plant.rig import Rig, bare_rig
 from tests import generator
 
 CACHE_HOME = Path(tempfile.gettempdir()) / "hydrojax-tests"

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from hydrojax.errors import InputError
-from hydrojax.fleet.jobs import Job
-from hydrojax.fleet.run import Stopped, run_fleet
-from hydrojax.fleet.work import Options
+from hydrojax.workflows.fleet.jobs import Job
+from hydrojax.workflows.fleet.run import Stopped, run_fleet
+from hydrojax.workflows.fleet.work import Options
 
 
 def pretend(job: Job, options: Options) -> dict[str, Any]:

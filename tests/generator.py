@@ -546,7 +546,7 @@ def given_force(rig: Rig, e: Effects, t, x, accel) -> np.ndarray:
     return total + ripple["force"] * np.sin(2 * np.pi * ripple["frequency"] * t)
 
 
-def road(rig: Rig, e: Effects, t, p_s, x, v) -> list[tuple]:
+def environment(rig: Rig, e: Effects, t, p_s, x, v) -> list[tuple]:
     """What drives `rates` besides opening and pressures, on the fine grid t [s]."""
     half, spare = rig["chamber_length"] / 2, e["dead_volume"]["V_0"]
     v1 = rig["area"] * (half + rig["delta_1"] - x) + spare
@@ -584,7 +584,7 @@ def record(
     soft = Soft(rig, e, t, x, v, p_s) if gives(e) else None
     parts = soft.parts if soft else [p.tolist() for p in friction(rig, e, t, x, v)]
     force = force_at(rig, e, parts, given, p_s)
-    drive = road(rig, e, fine, np.interp(fine, t, p_s), x, v)
+    drive = environment(rig, e, fine, np.interp(fine, t, p_s), x, v)
 
     rates, valve = pressure_rates(rig, e), Valve(e)
     loop = ForceLoop(nominal_rig(rig, 0, 0.1))

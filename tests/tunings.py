@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hydrojax.tune.goal import Limits
-from hydrojax.tune.optimise import Found
-from hydrojax.tune.outcome import Relaxed, Tuned
+
+from hydrojax.tune.objective import Limits
+from hydrojax.tune.optimize import Found
+from hydrojax.tune.result import Relaxed, Tuned
 
 HERTZ = np.geomspace(0.5, 200, 60)
 EDGES = np.array([1.0, 1.1, 0.875])

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from ..named import get, parameter_specs
-from ..quantities import Quantity, Setting, find
+from hydrojax.errors import InputError
+from hydrojax.plant.named import get, parameter_specs
+from hydrojax.rigfile.quantities import Quantity, Setting, find
 
 MOST_AXES = 4
 SPREAD = 0.2

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from .. import __version__, units
-from . import measure, merits
+from hydrojax import __version__, units
+from hydrojax.tune import measure, metrics
 
 if TYPE_CHECKING:
-    from .sweep import Plan
+    from hydrojax.tune.sweep import Plan
 
 POINT = (
     "at rest: F_0 on the output, valve shut; moving: where a slow loop stands as the "
@@ -47,7 +47,7 @@ def dataset(plan: Plan, found: Mapping[str, Mapping[str, np.ndarray]]) -> xr.Dat
         "plants": plan.plants.says if plan.plants else "the rig's own",
     })  # fmt: skip
     for axis in plan.axes:
-        attrs = {"units": axis.quantity.unit, "long_name": axis.quantity.says}
+        attrs = {"units": axis.quantity.unit, "long_name": axis.quantity.description}
         here = float(axis.quantity.get(plan.setting))
         data[axis.name] = (axis.name, axis.values, attrs | {"rig_value": here})
     for name in ("x", "v", "F_0", "P_s", "P_r", "amplitude"):
@@ -63,7 +63,7 @@ def _add(
 ) -> None:  # fmt: skip
     is_linear = method == "linear"
     wants, says = (
-        (merits.UNITS, merits.SAYS) if is_linear else (measure.UNITS, measure.SAYS)
+        (metrics.UNITS, metrics.SAYS) if is_linear else (measure.UNITS, measure.SAYS)
     )
     for name, unit in wants.items():
         attrs = {"units": units.with_command(unit, plan.unit), "long_name": says[name]}
@@ -77,7 +77,7 @@ def _add(
     rate = float(1 / plan.setting.loop.h)
     if any(a.name == "rate" for a in plan.axes):
         rate = min(float(v) for a in plan.axes if a.name == "rate" for v in a.values)
-    hertz = merits.grid(rate) if is_linear else plan.excitations[method].hertz
+    hertz = metrics.grid(rate) if is_linear else plan.excitations[method].hertz
     data[over] = (over, np.asarray(hertz), {"units": "Hz"})
     H = values["response"].reshape(*plan.shape, -1)
     size = 20 * np.log10(np.maximum(np.abs(H), 1e-12))

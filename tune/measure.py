@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..excitation import band_noise
-from ..loop import step
-from ..quantities import Setting
-from . import merits, point
+from hydrojax.control.inputs import band_noise
+from hydrojax.control.loop import step
+from hydrojax.rigfile.quantities import Setting
+from hydrojax.tune import metrics, operating_point
 
 KEEP = ("true_F", "u", "true_P_a1", "true_P_a2")
 
@@ -29,7 +29,7 @@ UNITS = {
 """What a measurement gives."""
 
 SAYS = {
-    **{name: merits.SAYS[name] for name in ("within_1dB", "minus_3dB", "lag_90")},
+    **{name: metrics.SAYS[name] for name in ("within_1dB", "minus_3dB", "lag_90")},
     "peak": "largest |F/F_d| among the lines",
     "rms_error": "RMS of F_d - F",
     "saturation": "share of the samples in which the command saturates",
@@ -119,15 +119,17 @@ def simulate(
     Returns:
         F_d [n], N, and the signals `KEEP` [n, 4], SI.
     """
-    carry = point.start(setting, settle=settle)
-    loop = point.frozen(setting.loop) if frozen else setting.loop
+    carry = operating_point.start(setting, settle=settle)
+    loop = operating_point.frozen(setting.loop) if frozen else setting.loop
     n = given.shape.size
     t = jnp.arange(n) * loop.h
     F_d = setting.F_0 + setting.amplitude / jnp.sqrt(2.0) * jnp.asarray(given.shape)
 
     def body(carry, i):
-        one = point.course(setting, F_d[i][None], noise[i][None], t[i][None])
-        carry, now = step(loop, carry, point.at(one, 0))
+        one = operating_point.scenario(
+            setting, F_d[i][None], noise[i][None], t[i][None]
+        )
+        carry, now = step(loop, carry, operating_point.at(one, 0))
         return carry, jnp.stack([now[name] for name in KEEP])
 
     noise = jnp.asarray(given.noise)
@@ -187,10 +189,10 @@ def measure(
         for s, P in zip(shut, (P_1, P_2), strict=True)
     ]
     found = {
-        "within_1dB": merits.within(hertz, H),
-        "minus_3dB": merits.first(hertz, merits.dB(H) + 3.0),
-        "lag_90": merits.first(hertz, merits.unwrapped(H) + jnp.pi / 2),
-        "peak": jnp.max(merits.dB(H)),
+        "within_1dB": metrics.within(hertz, H),
+        "minus_3dB": metrics.first(hertz, metrics.dB(H) + 3.0),
+        "lag_90": metrics.first(hertz, metrics.unwrapped(H) + jnp.pi / 2),
+        "peak": jnp.max(metrics.dB(H)),
         "rms_error": jnp.sqrt(jnp.mean((F_d[given.skip :] - F) ** 2)),
         "saturation": jnp.mean(jnp.abs(u) >= 0.999 * loop.law.u_max),
         "violations": jnp.mean(left[0] | left[1]),

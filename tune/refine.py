@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array
 from scipy import optimize
 
-from ..loop import Course, Loop, run
-from ..named import put
+from hydrojax.control.loop import Loop, Scenario, run
+from hydrojax.plant.named import put
 
 SETTLE = 0.25
 """Share of a run that is not counted: the estimates find their places."""
@@ -50,20 +50,22 @@ def with_bounds(
 
 
 @eqx.filter_jit
-def _errors(loop: Loop, names: tuple[str, ...], theta: Array, courses: Course) -> Array:
+def _errors(
+    loop: Loop, names: tuple[str, ...], theta: Array, scenarios: Scenario
+) -> Array:
     """Tracking error of every plant on every course, RMS after SETTLE, [K, M], N."""
 
-    def one(values, course):
+    def one(values, scenario):
         plant = eqx.tree_at(lambda lo: lo.rig, loop, put(loop.rig, names, values))
-        off = course.F_d - run(plant, course, ("true_F",))[:, 0]
+        off = scenario.F_d - run(plant, scenario, ("true_F",))[:, 0]
         late = off[int(SETTLE * off.shape[0]) :]
         return jnp.sqrt(jnp.mean(late**2))
 
     over = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))
-    return over(theta, courses)
+    return over(theta, scenarios)
 
 
-def tracking(loop: Loop, plants: Plants, courses: Course) -> np.ndarray:
+def tracking(loop: Loop, plants: Plants, scenarios: Scenario) -> np.ndarray:
     """Tracking error of every plant on every course, RMS, [K, M], N.
 
     Args:
@@ -72,17 +74,17 @@ def tracking(loop: Loop, plants: Plants, courses: Course) -> np.ndarray:
         courses: M of equal length, stacked along the first axis.
     """
     theta = jnp.asarray(plants.theta)
-    return np.asarray(_errors(loop, plants.names, theta, courses))
+    return np.asarray(_errors(loop, plants.names, theta, scenarios))
 
 
 def refine(
     loop: Loop,
     plants: Plants,
-    courses: Course,
+    scenarios: Scenario,
     lower: np.ndarray,
     upper: np.ndarray,
     limits: Sequence[tuple[float, float]],
-    tell: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move the bounds of theta_f to where the plants are tracked best.
 
@@ -112,7 +114,7 @@ def refine(
 
     def cost(at):
         held = with_bounds(loop, plants.names, *bounds(at))
-        return jnp.mean(_errors(held, plants.names, theta, courses) ** 2)
+        return jnp.mean(_errors(held, plants.names, theta, scenarios) ** 2)
 
     # Forward mode: some dozen directions, and no run of thousands of steps to store.
     both = jax.jit(lambda at: (cost(at), jax.jacfwd(cost)(at)))
@@ -126,7 +128,7 @@ def refine(
     first, _ = evaluate(start)
 
     def step(at):
-        tell(f"refine the bounds: {np.sqrt(evaluate(at)[0]):.3g} N RMS")
+        progress(f"refine the bounds: {np.sqrt(evaluate(at)[0]):.3g} N RMS")
 
     reach = [*zip(low / scale, high / scale, strict=True)]
     reach += [(FLOOR, max(b - a, FLOOR)) for a, b in reach]

@@ -10,11 +10,20 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from .. import pages, rewrite
-from ..build import load_rig
-from ..files import write_all
-from .outcome import Tuned
-from .tuned import bode_figure, ends, limit, limits_figure, sentence, show, table
+from hydrojax.report import page
+from hydrojax.report.files import write_all
+from hydrojax.rigfile import edit
+from hydrojax.rigfile.build import load_rig
+from hydrojax.tune.result import Tuned
+from hydrojax.tune.tuned import (
+    bode_figure,
+    ends,
+    limit,
+    limits_figure,
+    sentence,
+    show,
+    table,
+)
 
 
 def pictures(t: Tuned) -> dict[str, tuple[Figure, str, str]]:
@@ -46,12 +55,12 @@ def write(t: Tuned, rig: Path, out: Path) -> None:
     for name, (figure, alt, caption) in pictures(t).items():
         store = io.BytesIO()
         figure.savefig(store, format="png", dpi=110)
-        shown.append(pages.Picture(name, store.getvalue(), alt, caption))
+        shown.append(page.Picture(name, store.getvalue(), alt, caption))
     files = {f"{p.name}.png": p.png for p in shown}
     text = json.dumps(t.json(), indent=1, allow_nan=False)
     files["tune.json"] = (text + "\n").encode()
     files["rig.toml"] = with_gains(rig, t.gains, t.units).encode()
-    said = pages.page(
+    said = page.page(
         Path(__file__).parent / "report.html",
         (show,),
         t=t,
@@ -70,7 +79,7 @@ def with_gains(rig: Path, gains: Mapping[str, float], units: Mapping[str, str]) 
     spec = load_rig(rig)
     keys: dict[str, Any] = {}
     for name, value in gains.items():
-        written = rewrite.text(value, units[name])
+        written = edit.text(value, units[name])
         key, _, end = name.removesuffix("_hat").rpartition("_")
         if end in ("lower", "upper"):
             both = keys.get(key, spec.controller.get(key, written))
@@ -79,4 +88,4 @@ def with_gains(rig: Path, gains: Mapping[str, float], units: Mapping[str, str]) 
             keys[key] = both
         else:
             keys[name.removesuffix("_hat")] = written
-    return rewrite.rewrite(spec, {}, controller=keys)
+    return edit.rewrite(spec, {}, controller=keys)

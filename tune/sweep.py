@@ -17,13 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from ..backend import make_room
-from ..errors import InputError
-from ..quantities import Quantity, Setting
-from . import linear, measure, merits, point
-from .axes import Axis, Plants, cells
-from .dataset import dataset, save_dataset
-from .program import on_all_devices, program
+from hydrojax.errors import InputError
+from hydrojax.jax_setup import make_room
+from hydrojax.rigfile.quantities import Quantity, Setting
+from hydrojax.tune import linearize, measure, metrics, operating_point
+from hydrojax.tune.axes import Axis, Plants, cells
+from hydrojax.tune.dataset import dataset, save_dataset
+from hydrojax.tune.program import on_all_devices, program
 
 METHODS = ("linear", "multisine", "noise")
 MEMORY = 256e6
@@ -130,23 +130,31 @@ class _Work:
         self.rows = plan.table()
         some = jax.vmap(plan.at)(jnp.asarray(_corners(self.rows)))
         rate = float(jnp.max(1 / some.loop.h))
-        self.settle = 0 if point.still(some) else round(point.SETTLE * rate)
-        self.hertz = merits.grid(float(jnp.min(1 / some.loop.h)))
+        self.settle = (
+            0 if operating_point.still(some) else round(operating_point.SETTLE * rate)
+        )
+        self.hertz = metrics.grid(float(jnp.min(1 / some.loop.h)))
         if "linear" in plan.methods:
             self.linear = self._linear(some)
 
     def _linear(self, some: Setting) -> Callable[..., Any]:
         full = program(
-            jax.vmap(lambda s: linear.system(s, point.start(s, settle=self.settle)))
+            jax.vmap(
+                lambda s: linearize.system(
+                    s, operating_point.start(s, settle=self.settle)
+                )
+            )
         )
-        states = linear.find_states(full(some))
+        states = linearize.find_states(full(some))
         hertz = jnp.asarray(self.hertz)
 
         def one(row):
             s = self.plan.at(row)
-            system = linear.system(s, point.start(s, settle=self.settle), states)
-            H = linear.response(system, hertz)
-            found = merits.merits(hertz, H, linear.radius(system))
+            system = linearize.system(
+                s, operating_point.start(s, settle=self.settle), states
+            )
+            H = linearize.response(system, hertz)
+            found = metrics.merits(hertz, H, linearize.radius(system))
             return found | {"response": H[:, 0, 0]}
 
         return program(jax.vmap(one))
@@ -161,7 +169,7 @@ class _Work:
         return jax.jit(on_all_devices(jax.vmap(one)))
 
     def run(self, method: str, save: Callable[[int, dict], None], done: set[int],
-            tell: Callable[[int], None]) -> None:  # fmt: skip
+            progress: Callable[[int], None]) -> None:  # fmt: skip
         """Every chunk of a method that is not done yet."""
         size = chunk_size(self.plan, method)
         todo = [i for i in range(-(-len(self.rows) // size)) if i not in done]
@@ -174,7 +182,7 @@ class _Work:
             full = np.concatenate([rows, np.repeat(rows[-1:], size - len(rows), 0)])
             out = jax.tree.map(np.asarray, work(jnp.asarray(full)))
             save(i, {n: v[: len(rows)] for n, v in out.items()})
-            tell(len(rows))
+            progress(len(rows))
 
         # LAPACK in two runs at once can lock up XLA's pool of threads; it is fast
         # enough alone. Simulations share the cores, or the devices.
@@ -199,7 +207,7 @@ def _corners(rows: np.ndarray, most: int = 24) -> np.ndarray:
 def chunk_size(plan: Plan, method: str) -> int:
     """Cells in a chunk, as many on every device."""
     if method == "linear":
-        each, most = merits.LINES * 10 * 16 * 4.0, 256
+        each, most = metrics.LINES * 10 * 16 * 4.0, 256
     else:
         each = plan.excitations[method].shape.size * len(measure.KEEP) * 8 * 3.0
         most = 128
@@ -208,7 +216,9 @@ def chunk_size(plan: Plan, method: str) -> int:
     return -(-fits // devices) * devices
 
 
-def run(plan: Plan, folder: Path | None = None, tell: Tell | None = None) -> xr.Dataset:
+def run(
+    plan: Plan, folder: Path | None = None, progress: Tell | None = None
+) -> xr.Dataset:
     """Sweep, or go on with a sweep, or find it done.
 
     Args:
@@ -234,8 +244,8 @@ def run(plan: Plan, folder: Path | None = None, tell: Tell | None = None) -> xr.
     def tell_more(n: int) -> None:
         nonlocal gone
         gone += n
-        if tell:
-            tell(gone, total)
+        if progress:
+            progress(gone, total)
 
     for method in plan.methods:
         parts: dict[int, dict[str, np.ndarray]] = {}

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import xarray as xr
 
-from .. import markup
-from ..errors import InputError
+from hydrojax.errors import InputError
+from hydrojax.report import markup
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def _best(data: xr.Dataset) -> list[tuple[str, xr.Dataset | None]]:
     """By each way the cell that is widest within 1 dB; None where none is stable."""
-    from .maps import axes_of, methods_of, nominal
+    from hydrojax.tune.plots import axes_of, methods_of, nominal
 
     flat, out = nominal(data), []
     for way in methods_of(data):
@@ -27,7 +27,7 @@ def _best(data: xr.Dataset) -> list[tuple[str, xr.Dataset | None]]:
 
 def sentences(data: xr.Dataset) -> list[str]:
     """The gist of a sweep in words, one line for each way."""
-    from .maps import axes_of
+    from hydrojax.tune.plots import axes_of
 
     said = []
     for way, best in _best(data):
@@ -67,16 +67,16 @@ class Swept:
         Raises:
             InputError: no sweep, no axis left of it, or no such quantity.
         """
-        from . import maps
+        from hydrojax.tune import plots
 
         self._check(quantity)
-        data = maps.spread(self.data)
-        if len(maps.axes_of(data)) > 1:
-            return maps.map_figure(data, quantity)
-        return maps.line_figure(data)
+        data = plots.spread(self.data)
+        if len(plots.axes_of(data)) > 1:
+            return plots.map_figure(data, quantity)
+        return plots.line_figure(data)
 
     def _check(self, quantity: str) -> None:
-        from .maps import axes_of
+        from hydrojax.tune.plots import axes_of
 
         ways = self.data.attrs.get("methods", "").split()
         if not any(f"{way}_within_1dB" in self.data for way in ways):
@@ -94,7 +94,7 @@ class Swept:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the gist, and the axes."""
-        from .maps import axes_of
+        from hydrojax.tune.plots import axes_of
 
         axes = [_axis(self.data[name]) for name in axes_of(self.data)]
         return markup.block(

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from .. import markup
-from .merits import least, most
-from .optimise import TIGHT
+from hydrojax.report import markup
+from hydrojax.tune.metrics import least, most
+from hydrojax.tune.optimize import TIGHT
 
 if TYPE_CHECKING:
-    from .outcome import Tuned
+    from hydrojax.tune.result import Tuned
 
 _BEFORE, _AFTER = "#b2382e", "#1f4e9c"
 

@@ -79,7 +79,7 @@ def read(path: Path) -> dict[str, Any]:
 
 def write(out: Path, data: dict[str, Any], section: Section) -> None:
     """`speed.json`, `speed.md` and a section's plots, whole or not at all."""
-    from hydrojax.files import write_all
+    from hydrojax.report.files import write_all
 
     order = {g: data["groups"][g] for g in GROUPS if g in data["groups"]}
     data["groups"] = order
@@ -129,11 +129,11 @@ def main(
             continue
         with console.status(group) as status:
 
-            def tell(what: str, group: str = group, status: Any = status) -> None:
+            def progress(what: str, group: str = group, status: Any = status) -> None:
                 status.update(f"{group}: {what}")
 
             work = importlib.import_module(f"{__package__}.{group}")
-            section = work.run(quick, tell)
+            section = work.run(quick, progress)
         keep(data, group, section, key)
         write(out, data, section)
         console.print(f"{group}: written to {out / 'speed.json'}")

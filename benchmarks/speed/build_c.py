@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydrojax.backend import user_cache
+from hydrojax.jax_setup import user_cache
 
 FLAGS = (
     "-std=gnu11", "-O3", "-march=native", "-mprefer-vector-width=512", "-fopenmp",

@@ -97,8 +97,8 @@ class _Child:
 class Children(AbstractContextManager):
     """Workers, started when they are first asked, ended together."""
 
-    def __init__(self, tell: Callable[[str], None] = lambda what: None):
-        self.tell = tell
+    def __init__(self, progress: Callable[[str], None] = lambda what: None):
+        self.progress = progress
         self._own = tempfile.TemporaryDirectory(prefix="hydrojax-speed.")
         self._log = open(Path(self._own.name) / "stderr", "w+")  # noqa: SIM115
         self._children: dict[str, _Child] = {}
@@ -117,7 +117,7 @@ class Children(AbstractContextManager):
             Failed: it cannot be made.
         """
         key = program.worker or program.setting
-        self.tell(f"make ready: {program.name}")
+        self.progress(f"make ready: {program.name}")
         if key in self._children and self._children[key].process.poll() is not None:
             self._children.pop(key).end()
         if key not in self._children:
@@ -138,8 +138,8 @@ class Children(AbstractContextManager):
     def time(self, names: list[str], rounds: int, what: str) -> Rounds:
         """Seconds of these programs, in turns."""
 
-        def tell(done: int, total: int) -> None:
-            self.tell(f"{what}: round {done + 1} of {total}")
+        def progress(done: int, total: int) -> None:
+            self.progress(f"{what}: round {done + 1} of {total}")
 
         runs = {n: lambda n=n: self.seconds(n) for n in names}
-        return interleave(runs, rounds, tell)
+        return interleave(runs, rounds, progress)

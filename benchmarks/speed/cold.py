@@ -52,7 +52,7 @@ def device() -> dict[str, Any]:
 def main() -> None:
     """Do it, and say how it went."""
     began = time.perf_counter()
-    from hydrojax.backend import set_up_jax
+    from hydrojax.jax_setup import set_up_jax
 
     from .timing import peak_mib
 

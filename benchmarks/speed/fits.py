@@ -36,7 +36,7 @@ def own(folder: str) -> Build:
 
     Answers `params` [16] and `P_0` [W, 2].
     """
-    from hydrojax.identify.run import fit_case
+    from hydrojax.identify.case import fit_case
 
     case = opened(folder)
 
@@ -169,7 +169,7 @@ def by_optimistix(folder: str, normal: bool) -> Build:
     import lineax as lx
     import optimistix as optx
 
-    from hydrojax.named import put
+    from hydrojax.plant.named import put
 
     from .replays import NAMES
 
@@ -204,7 +204,7 @@ def cost(folder: str, params: list[float]) -> Build:
     import jax
     import jax.numpy as jnp
 
-    from hydrojax.named import put
+    from hydrojax.plant.named import put
 
     from .replays import NAMES
 

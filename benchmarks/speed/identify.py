@@ -72,19 +72,19 @@ class _Judge:
         }
 
 
-def run(quick: bool, tell: Callable[[str], None]) -> Section:
+def run(quick: bool, progress: Callable[[str], None]) -> Section:
     """Fit one log in all ways, warm; and hydrojax cold."""
     section, seconds = Section(), 8.0 if quick else 60.0
     rounds = 3 if quick else 7
     with tempfile.TemporaryDirectory(prefix="hydrojax-speed.") as name:
         folder = str(Path(name) / "case")
-        tell("simulate a log")
+        progress("simulate a log")
         fresh("logs:write_case", {"folder": folder, "seconds": seconds})
-        tell("fill a cache on disk")
+        progress("fill a cache on disk")
         cache = str(Path(name) / "cache")
         first = fresh("fits:cold", {"folder": folder}, cache)
         np.save(Path(folder) / "P_0.npy", first["P_0"])
-        with Children(tell) as children:
+        with Children(progress) as children:
             own = Program(OWN, "fits", "fits:own", {"folder": folder}, "hydrojax")
             judge = _Judge(children, folder)
             per = measure(
@@ -95,7 +95,7 @@ def run(quick: bool, tell: Callable[[str], None]) -> Section:
             row["remark"] = judge.remarks()[row["program"]]
         truth = np.load(Path(folder) / "truth.npy")
         worst = float(np.max(np.abs(np.asarray(first["params"]) / truth - 1)))
-        _cold(section, folder, cache, 1 if quick else 3, tell)
+        _cold(section, folder, cache, 1 if quick else 3, progress)
     at_best = quickest(per, "optimistix")
     for says, of, goal in (
         ("optimistix's LM as it comes over hydrojax", "optimistix LM", None),
@@ -118,14 +118,18 @@ def run(quick: bool, tell: Callable[[str], None]) -> Section:
 
 
 def _cold(
-    section: Section, folder: str, cache: str, rounds: int, tell: Callable[[str], None]
+    section: Section,
+    folder: str,
+    cache: str,
+    rounds: int,
+    progress: Callable[[str], None],
 ) -> None:
     """The product in fresh processes: no cache on disk, and one that is full."""
     kinds = {"without": "", "with": cache}
     found: dict[str, list[dict]] = {kind: [] for kind in kinds}
     for i in range(rounds):
         for kind, where in kinds.items():
-            tell(f"cold, {kind} a cache: {i + 1} of {rounds}")
+            progress(f"cold, {kind} a cache: {i + 1} of {rounds}")
             found[kind].append(fresh("fits:cold", {"folder": folder}, where))
     for kind, limit in (("without", 5.0), ("with", 1.0)):
         fits = spread([f["fit_s"] for f in found[kind]])

@@ -29,10 +29,11 @@ def write_case(folder: str | Path, seconds: float) -> None:
     """
     import equinox as eqx
 
-    from hydrojax import record, simulation
-    from hydrojax.build import load_rig
-    from hydrojax.controller import make_loop
-    from hydrojax.named import get
+    from hydrojax.control import simulation
+    from hydrojax.plant.named import get
+    from hydrojax.rigfile import recording
+    from hydrojax.rigfile.build import load_rig
+    from hydrojax.rigfile.controller import make_loop
 
     from .replays import NAMES
 
@@ -52,22 +53,22 @@ def write_case(folder: str | Path, seconds: float) -> None:
         loop, [0.1 * s for s in still],
     )  # fmt: skip
     samples = round(seconds / float(loop.h))
-    course = record.read_course(spec, loop, seconds=min(samples, MINUTE) * 1e-3)
-    run = simulation.simulate(loop, course)
+    scenario = recording.read_scenario(spec, loop, seconds=min(samples, MINUTE) * 1e-3)
+    run = simulation.simulate(loop, scenario)
     columns = _columns(run, spec, samples)
     noise = {n: NOISE * float(np.std(run[f"true_{n}"])) for n in CHANNELS}
     rng = np.random.default_rng(5)
     for name, size in noise.items():
         unit, y = columns[name]
         columns[name] = (unit, y + size * rng.normal(size=samples))
-    record.write_log(folder / "log.parquet", columns)
+    recording.write_log(folder / "log.parquet", columns)
     rig.write_text("\n".join(_declared(text, truth, noise)), encoding="utf-8")
     np.save(folder / "truth.npy", truth)
 
 
 def _columns(run: Any, spec: Any, samples: int) -> dict[str, tuple[str, np.ndarray]]:
     """The log's columns without noise: as many samples as are asked for."""
-    from hydrojax.record import place_column
+    from hydrojax.rigfile.recording import place_column
 
     at = np.arange(samples)
 
@@ -121,7 +122,7 @@ def _range(start: float, unit: str) -> str:
 @cache
 def opened(folder: str) -> Any:
     """The case of a folder, as `identify` opens it."""
-    from hydrojax.identify.run import open_case
+    from hydrojax.identify.case import open_case
 
     return open_case(f"{folder}/rig.toml", [f"{folder}/log.parquet"])
 
@@ -133,9 +134,9 @@ def problem(folder: str) -> Any:
     If the folder has `P_0.npy` [W, 2], the windows start there.
     """
     import jax.numpy as jnp
-    from hydrojax.identify.problem import Problem, free_parameters
 
-    from hydrojax.build import make_effects, make_rig
+    from hydrojax.identify.estimation.problem import Problem, free_parameters
+    from hydrojax.rigfile.build import make_effects, make_rig
 
     case = opened(folder)
     effects = make_effects(case.spec.effects, case.spec, case.fit.travel)
@@ -159,7 +160,7 @@ def replayed(folder: str) -> tuple[Any, np.ndarray]:
 
 def predict(rig: Any, batch: Any) -> Any:
     """What the sensors would read, [W, T, 3], from a batch's initial pressures."""
-    from hydrojax.replay import friction_memory, pressures, readings
+    from hydrojax.plant.replay import friction_memory, pressures, readings
 
     w = batch.windows
     past = friction_memory(rig, batch.motion).within(w)

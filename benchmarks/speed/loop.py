@@ -45,20 +45,20 @@ Build = Callable[[], Callable[[], Any]]
 @cache
 def case(batch: int, samples: int) -> tuple[Any, Any, np.ndarray]:
     """The reference loop, its course, and two gains for each instance, [B, 2]."""
-    from hydrojax.build import load_rig
-    from hydrojax.controller import make_loop
-    from hydrojax.excitation import sines, to_and_fro
-    from hydrojax.simulation import make_course
+    from hydrojax.control.inputs import sines, to_and_fro
+    from hydrojax.control.simulation import make_scenario
+    from hydrojax.rigfile.build import load_rig
+    from hydrojax.rigfile.controller import make_loop
 
     file = resources.files("hydrojax") / "reference" / "rig.toml"
     with resources.as_file(file) as path:
         loop = make_loop(load_rig(path))
     t = H * np.arange(samples)
     F_d = sines(np.random.default_rng(1), t, 250.0)
-    course = make_course(F_d, to_and_fro(0.03, 0.7), H, 14e6, 0.25e6, seed=0)
+    scenario = make_scenario(F_d, to_and_fro(0.03, 0.7), H, 14e6, 0.25e6, seed=0)
     factors = np.random.default_rng(3).uniform(0.7, 1.2, (batch, 2))
     factors[0] = 1.0
-    return loop, course, factors * [float(loop.law.k_p), float(loop.law.k_f)]
+    return loop, scenario, factors * [float(loop.law.k_p), float(loop.law.k_f)]
 
 
 def _gains(loop: Any) -> list[Any]:
@@ -70,9 +70,9 @@ def _batched(batch: int, samples: int) -> tuple[Any, Any]:
     import equinox as eqx
     import jax.numpy as jnp
 
-    loop, course, gains = case(batch, samples)
+    loop, scenario, gains = case(batch, samples)
     columns = [jnp.asarray(column) for column in (gains.T if batch > 1 else gains[0])]
-    return eqx.tree_at(_gains, loop, columns), course
+    return eqx.tree_at(_gains, loop, columns), scenario
 
 
 def own(batch: int, samples: int, chunk: int) -> Build:
@@ -81,16 +81,16 @@ def own(batch: int, samples: int, chunk: int) -> Build:
     import jax
     import jax.numpy as jnp
 
-    from hydrojax.loop import run
+    from hydrojax.control.loop import run
 
-    loop, course, gains = case(batch, samples)
+    loop, scenario, gains = case(batch, samples)
     real = jnp.result_type(float)  # single where JAX is
-    given = jax.tree.map(lambda a: jnp.asarray(a, real), (loop, course))
+    given = jax.tree.map(lambda a: jnp.asarray(a, real), (loop, scenario))
 
-    def one(row, loop, course):
+    def one(row, loop, scenario):
         loop = eqx.tree_at(_gains, loop, [row[0], row[1]])
-        F = run(loop, course, ("true_F",))[:, 0]
-        return jnp.sqrt(jnp.mean((course.F_d - F) ** 2))
+        F = run(loop, scenario, ("true_F",))[:, 0]
+        return jnp.sqrt(jnp.mean((scenario.F_d - F) ** 2))
 
     # Chunks are for a processor's caches and cores: a GPU is given all at once.
     size = min(chunk or batch, batch) if jax.default_backend() == "cpu" else batch
@@ -233,11 +233,11 @@ def goals(batch: int) -> list[tuple[str, str, str, Goal | None]]:
     ]  # fmt: skip
 
 
-def run(quick: bool, tell: Callable[[str], None]) -> Section:
+def run(quick: bool, progress: Callable[[str], None]) -> Section:
     """Time the closed loop at four batch sizes, and one call of many runs."""
     section, samples = Section(), 1000 if quick else 10_000
     few = samples // 5 if quick else samples // 10
-    with Children(tell) as children:
+    with Children(progress) as children:
         for batch in (1, 16, 256, 4096):
             rounds = 3 if quick else 7 if batch <= 256 else 5
             listed = programs(batch, samples, few)

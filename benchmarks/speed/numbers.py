@@ -11,20 +11,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hydrojax.channels import QUEUE, ValveDelay, ValveLag
-from hydrojax.control import Nine, mean_area
-from hydrojax.load import Driven
-from hydrojax.loop import Course, Loop
-from hydrojax.params import values
-from hydrojax.rig import PLACES, Rig
-from hydrojax.simulation import PARTS
+from hydrojax.control.adaptive import Estimates, mean_area
+from hydrojax.control.loop import Loop, Scenario
+from hydrojax.control.simulation import PARTS
+from hydrojax.effects.channels import QUEUE, ValveDelay, ValveLag
+from hydrojax.parameters import values
+from hydrojax.plant.load import Driven
+from hydrojax.plant.rig import PLACES, Rig
 
-KEPT = ("u", "P_a1", "P_a2", "F", *Nine._fields)
+KEPT = ("u", "P_a1", "P_a2", "F", *Estimates._fields)
 """What a peer can write at each sample, SI: the command, true pressures and force, and
 the estimates that made the command."""
 
-KEEP = ("u", "true_P_a1", "true_P_a2", "true_F", *Nine._fields)
-"""The same in the words of `hydrojax.loop.run`."""
+KEEP = ("u", "true_P_a1", "true_P_a2", "true_F", *Estimates._fields)
+"""The same in the words of `hydrojax.control.loop.run`."""
 
 Numbers = dict[str, np.ndarray]
 
@@ -118,7 +118,7 @@ def numbers(loop: Loop) -> Numbers:
     out |= {"down_1": w_1 * n["c_n1"], "down_2": w_2 * n["c_p2"]}
     for name in ("k_p", "k_f", "u_max", "tau_d", "tau_v"):
         out[name] = getattr(law, name)
-    for name in Nine._fields:
+    for name in Estimates._fields:
         out[f"rate_{name}"] = getattr(law.rate, name)
         out[f"lower_{name}"] = getattr(law.lower, name)
         out[f"upper_{name}"] = getattr(law.upper, name)
@@ -129,13 +129,19 @@ def numbers(loop: Loop) -> Numbers:
     return {name: np.broadcast_to(v, shape).astype(float) for name, v in out.items()}
 
 
-def columns(course: Course) -> Iterator[np.ndarray]:
+def columns(scenario: Scenario) -> Iterator[np.ndarray]:
     """F_d [N], noise [N, 4], P_s, P_r [N, 2], x [N, parts, 3], v [N, parts].
 
     Raises:
         ValueError: another number of parts than the simulator's own.
     """
-    if course.road.v.shape[1] != PARTS:
+    if scenario.environment.v.shape[1] != PARTS:
         raise ValueError(f"the peers take {PARTS} parts a control period")
-    for a in (course.F_d, course.noise, course.P_s, course.P_r, *course.road[:2]):
+    for a in (
+        scenario.F_d,
+        scenario.noise,
+        scenario.P_s,
+        scenario.P_r,
+        *scenario.environment[:2],
+    ):
         yield np.ascontiguousarray(a, float)

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hydrojax.loop import Course, Loop
-from hydrojax.simulation import PARTS
+from hydrojax.control.loop import Loop, Scenario
+from hydrojax.control.simulation import PARTS
 
 from .build_c import dtype, library, names
 from .numbers import KEPT, columns, delay, numbers
@@ -40,7 +40,7 @@ def lanes_for(instances: int, real: str = "double") -> int:
 
 def prepare(
     loop: Loop,
-    course: Course,
+    scenario: Scenario,
     real: str = "double",
     lanes: int = 1,
     threads: int | None = None,
@@ -50,7 +50,7 @@ def prepare(
 
     Args:
         loop: its leaves are scalars or [B]: B instances on one course.
-        course: as `hydrojax.loop.run` takes it.
+        course: as `hydrojax.control.loop.run` takes it.
         real: C's `double` or `float`.
         lanes: instances side by side; 1 is plain scalar C, else see `lanes_for`.
         threads: at most so many groups of lanes at a time; None is one per core.
@@ -68,9 +68,9 @@ def prepare(
     c.loop_numbers.restype = ctypes.c_char_p
     given = numbers(loop)
     table = np.atleast_2d(np.stack([given[n] for n in names(c.loop_numbers())]).T).T
-    b, n = table.shape[1], course.F_d.shape[0]
+    b, n = table.shape[1], scenario.F_d.shape[0]
     whole, share = delay(loop.rig, float(loop.h) / PARTS)
-    arrays = [np.ascontiguousarray(a, kind) for a in (table, *columns(course))]
+    arrays = [np.ascontiguousarray(a, kind) for a in (table, *columns(scenario))]
     rms = np.empty(b, kind)
     out = np.empty((b, n, len(KEPT)), kind) if signals else None
     at = [a.ctypes.data if a is not None else None for a in (*arrays, rms, out)]

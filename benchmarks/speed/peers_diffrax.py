@@ -13,13 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hydrojax.channels import ValveLag
-from hydrojax.control import Measured
-from hydrojax.friction import Sliding
-from hydrojax.hydraulics import Point
-from hydrojax.loop import Course, Loop
-from hydrojax.loop import begin as at_rest
-from hydrojax.simulation import PARTS
+from hydrojax.control.adaptive import Measured
+from hydrojax.control.loop import Loop, Scenario
+from hydrojax.control.loop import begin as at_rest
+from hydrojax.control.simulation import PARTS
+from hydrojax.effects.channels import ValveLag
+from hydrojax.plant.chambers import Point
+from hydrojax.plant.friction import Sliding
 
 from .numbers import delay
 
@@ -51,7 +51,7 @@ def _part(loop, tick, part, u, y, solver):
     def ends(p):
         return tuple(p[0] + (part + i) / PARTS * (p[1] - p[0]) for i in (0, 1))
 
-    x = tuple(tick.road.x[part, i] for i in range(3))
+    x = tuple(tick.environment.x[part, i] for i in range(3))
     args = (loop.rig, loop.h / PARTS, u, x, ends(tick.P_s), ends(tick.P_r))
     term, start = diffrax.ODETerm(_rates), jnp.zeros_like(loop.h)
     state = solver.init(term, start, start + 1, y, args)
@@ -60,20 +60,20 @@ def _part(loop, tick, part, u, y, solver):
 
 def _force(rig, y, tick):
     """The true output force at the end of a sample, N."""
-    v, x = tick.road.v[-1], tick.road.x[-1, 2]
+    v, x = tick.environment.v[-1], tick.environment.x[-1, 2]
     at = Sliding(tick.t, x, v, v, y[2], v, y[3], y[0], y[1], tick.P_s[1])
     return rig.output_force(at)
 
 
-def run(loop: Loop, course: Course, whole: int) -> jax.Array:
+def run(loop: Loop, scenario: Scenario, whole: int) -> jax.Array:
     """True F at every sample [N], N; commands are `whole` parts late."""
     solver = diffrax.Tsit5()
     ahead = -(-whole // PARTS)  # samples of command to remember
-    begun = at_rest(loop, course)
+    begun = at_rest(loop, scenario)
 
     def sample(carry, tick):
         y, F, memory, queue = carry
-        truth = Measured(y[0], y[1], tick.P_s[0], F, tick.road.x[0, 0])
+        truth = Measured(y[0], y[1], tick.P_s[0], F, tick.environment.x[0, 0])
         seen = loop.sensors.read(truth, tick.noise)
         memory, u, _ = loop.law.step(memory, seen, tick.F_d, loop.h)
         queue = (u, *queue[:ahead])
@@ -86,11 +86,11 @@ def run(loop: Loop, course: Course, whole: int) -> jax.Array:
     plant = begun.plant
     y = (*plant.P, plant.z, plant.speed, zero, zero)
     carry = (y, begun.F, begun.law, (zero,) * (ahead + 1))
-    return jax.lax.scan(sample, carry, course)[1]
+    return jax.lax.scan(sample, carry, scenario)[1]
 
 
 def prepare(
-    loop: Loop, course: Course, signals: bool = False
+    loop: Loop, scenario: Scenario, signals: bool = False
 ) -> Callable[[], np.ndarray]:
     """A closed loop in diffrax, compiled and ready to be run.
 
@@ -106,10 +106,10 @@ def prepare(
     axes = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, loop)
     many = any(jnp.ndim(a) for a in jax.tree.leaves(loop))
 
-    def found(loop, course):
-        F = run(loop, course, whole)
-        return F if signals else jnp.sqrt(jnp.mean((course.F_d - F) ** 2))
+    def found(loop, scenario):
+        F = run(loop, scenario, whole)
+        return F if signals else jnp.sqrt(jnp.mean((scenario.F_d - F) ** 2))
 
     each = jax.vmap(found, in_axes=(axes, None)) if many else found
-    compiled = jax.jit(each).lower(loop, course).compile()
-    return lambda: np.atleast_1d(np.asarray(compiled(loop, course)))
+    compiled = jax.jit(each).lower(loop, scenario).compile()
+    return lambda: np.atleast_1d(np.asarray(compiled(loop, scenario)))

@@ -10,8 +10,8 @@ import numba
 import numpy as np
 from numba import njit, prange
 
-from hydrojax.loop import Course, Loop
-from hydrojax.simulation import PARTS
+from hydrojax.control.loop import Loop, Scenario
+from hydrojax.control.simulation import PARTS
 
 from .numbers import KEPT, columns, delay, numbers
 from .plain import (
@@ -79,12 +79,12 @@ def _all(p, whole, share, h, F_d, noise, supply, back, x, v, rms, out):
 
 
 def prepare(
-    loop: Loop, course: Course, threads: int | None = None, signals: bool = False
+    loop: Loop, scenario: Scenario, threads: int | None = None, signals: bool = False
 ) -> Callable[[], tuple[np.ndarray, np.ndarray | None]]:
     """A closed loop in numba, compiled and ready to be run; see `peers_c.prepare`."""
     p = records(numbers(loop))
-    h, n = float(loop.h), course.F_d.shape[0]
-    given = (p, *delay(loop.rig, h / PARTS), h, *columns(course))
+    h, n = float(loop.h), scenario.F_d.shape[0]
+    given = (p, *delay(loop.rig, h / PARTS), h, *columns(scenario))
     rms = np.empty(p.size)
     out = np.empty((p.size, n if signals else 0, len(KEPT)))
     most = min(threads or os.cpu_count() or 1, numba.config.NUMBA_NUM_THREADS)

@@ -13,8 +13,8 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from hydrojax.loop import Course, Loop
-from hydrojax.simulation import PARTS
+from hydrojax.control.loop import Loop, Scenario
+from hydrojax.control.simulation import PARTS
 
 from .numbers import columns, delay
 from .plain import begin, decide, force, pressure_rates, record
@@ -55,7 +55,7 @@ def _sample(p: SimpleNamespace, y, spans, commands, given):
     return y
 
 
-def prepare(loop: Loop, course: Course) -> Callable[[], np.ndarray]:
+def prepare(loop: Loop, scenario: Scenario) -> Callable[[], np.ndarray]:
     """A closed loop in scipy; what it returns runs it and gives the true F [N], N.
 
     Raises:
@@ -68,7 +68,7 @@ def prepare(loop: Loop, course: Course) -> Callable[[], np.ndarray]:
     late = (whole + share) * p.h / PARTS
     back = math.floor(late / p.h)
     cut = late - back * p.h
-    F_d, noise, supply, returned, x, v = (a.tolist() for a in columns(course))
+    F_d, noise, supply, returned, x, v = (a.tolist() for a in columns(scenario))
     spans = [(0.0, p.h)] if cut == 0 else [(0.0, cut), (cut, p.h)]
 
     def call() -> np.ndarray:

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from hydrojax.control import LEAST_DROP, Nine
-from hydrojax.hydraulics import LAMINAR_CORE
-from hydrojax.loop import Loop
+from hydrojax.control.adaptive import LEAST_DROP, Estimates
+from hydrojax.control.loop import Loop
+from hydrojax.plant.chambers import LAMINAR_CORE
 
 from .numbers import Numbers, numbers
 
@@ -37,9 +37,9 @@ def records(given: Numbers) -> np.ndarray:
     out = np.zeros(np.size(given[alone[0]]), kinds)
     for name in alone:
         out[name] = given[name]
-    if f"rate_{Nine._fields[0]}" in given:
+    if f"rate_{Estimates._fields[0]}" in given:
         for bound in BOUNDS:
-            columns = [np.atleast_1d(given[f"{bound}_{e}"]) for e in Nine._fields]
+            columns = [np.atleast_1d(given[f"{bound}_{e}"]) for e in Estimates._fields]
             out[bound] = np.stack(columns, axis=1)
     return out
 

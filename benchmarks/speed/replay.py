@@ -33,7 +33,7 @@ def own_forward(folder: str) -> Build:
     import jax
     import jax.numpy as jnp
 
-    from hydrojax.named import put
+    from hydrojax.plant.named import put
 
     from .replays import NAMES
 
@@ -56,8 +56,9 @@ def own_gram(folder: str, count: int = 16) -> Build:
     """
     import jax
     import jax.numpy as jnp
-    from hydrojax.identify.columns import basis
-    from hydrojax.identify.misfit import sums
+
+    from hydrojax.identify.estimation.columns import basis
+    from hydrojax.identify.estimation.misfit import sums
 
     from .replays import NAMES
 
@@ -164,13 +165,13 @@ def programs(folder: str) -> list[Program]:
     return out
 
 
-def run(quick: bool, tell: Callable[[str], None]) -> Section:
+def run(quick: bool, progress: Callable[[str], None]) -> Section:
     """Time replay, Jacobian and Gram matrix on one log."""
     from .cold import fresh
 
     section, seconds = Section(), 8.0 if quick else 60.0
     with tempfile.TemporaryDirectory(prefix="hydrojax-speed.") as name:
-        tell("simulate a log")
+        progress("simulate a log")
         fresh("logs:write_case", {"folder": name, "seconds": seconds})
         folder = str(Path(name))
         # hydrojax's Gram matrix has columns eliminated that the peers' do not have.
@@ -179,7 +180,7 @@ def run(quick: bool, tell: Callable[[str], None]) -> Section:
             agrees({GRAM: 1e-6}, GRAM),
             agrees({"Gram, C": 1e-3, "Gram, numba": 1e-3}, "Gram, C, 1 thread"),
         )
-        with Children(tell) as children:
+        with Children(progress) as children:
             per = measure(
                 children, section, f"log of {seconds:g} s", programs(folder),
                 3 if quick else 9, lambda n, a: "".join(c(n, a) for c in checks),

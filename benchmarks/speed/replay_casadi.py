@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 from jaxtyping import ArrayLike
 
-from hydrojax.hydraulics import LAMINAR_CORE
-from hydrojax.rig import PARTS
+from hydrojax.plant.chambers import LAMINAR_CORE
+from hydrojax.plant.rig import PARTS
 
 from .numbers import Numbers, worked_out
 from .plain import spool_step
@@ -154,9 +154,9 @@ def prepare(given: Replay, threads: int | None = None) -> Compiled:
         return one.map(count, "thread", workers) if workers > 1 else one.map(count)
 
     params = ca.MX.sym("params", len(NAMES))
-    course = _bristle(begun, m.dx.shape[2]).mapaccum("course", m.dx.shape[1])
+    scenario = _bristle(begun, m.dx.shape[2]).mapaccum("course", m.dx.shape[1])
     z = [
-        ca.horzcat(0, course(0, dx.T, ca.repmat(params, 1, len(dx))))
+        ca.horzcat(0, scenario(0, dx.T, ca.repmat(params, 1, len(dx))))
         for dx in np.asarray(m.dx)
     ]
     window = _tick(begun, (w.x_fine.shape[-1] - 1) // 2).mapaccum("window", ticks - 1)

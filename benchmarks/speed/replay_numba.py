@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from numba import njit, prange
 
-from hydrojax.rig import PARTS
+from hydrojax.plant.rig import PARTS
 
 from .numbers import Numbers
 from .peers_numba import COMPILE

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike
 
-from hydrojax.channels import ValveLag
-from hydrojax.replay import Motion, Windows
-from hydrojax.rig import PARTS, Rig
+from hydrojax.effects.channels import ValveLag
+from hydrojax.plant.replay import Motion, Windows
+from hydrojax.plant.rig import PARTS, Rig
 
 from .numbers import Numbers, plant, spool, worked_out
 

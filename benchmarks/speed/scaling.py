@@ -33,7 +33,7 @@ Tell = Callable[[str], None]
 
 def fit_long(folder: str) -> dict[str, Any]:
     """Read a log and fit it twice; seconds of each, and the log's own size."""
-    from hydrojax.identify.run import fit_case
+    from hydrojax.identify.case import fit_case
 
     began = time.perf_counter()
     case = opened(folder)
@@ -55,10 +55,9 @@ def scores(folder: str, count: int) -> Build:
     """The windows' sums along every parameter of a model with `count` candidates:
     what a trace looks at before it refits any.
     """
-    from hydrojax.identify.problem import Problem, free_parameters
-    from hydrojax.identify.run import applicable
-
-    from hydrojax.build import make_effects, make_rig
+    from hydrojax.identify.case import applicable
+    from hydrojax.identify.estimation.problem import Problem, free_parameters
+    from hydrojax.rigfile.build import make_effects, make_rig
 
     case = opened(folder)
     names = [n for n in applicable(case) if n not in case.spec.effects][:count]
@@ -109,12 +108,12 @@ def sweep(
     return out
 
 
-def by_length(section: Section, quick: bool, tell: Tell) -> list[Point]:
+def by_length(section: Section, quick: bool, progress: Tell) -> list[Point]:
     """Identification against the log's length, min."""
     minutes = (0.2, 0.5, 1.0) if quick else (1, 4, 15, 60, 240, 600)
 
     def at(x: float) -> Point:
-        tell(f"identify a log of {x:g} min")
+        progress(f"identify a log of {x:g} min")
         with tempfile.TemporaryDirectory(prefix="hydrojax-speed.") as folder:
             fresh("logs:write_case", {"folder": folder, "seconds": 60 * x})
             found = fresh("scaling:fit_long", {"folder": folder})
@@ -127,7 +126,7 @@ def by_length(section: Section, quick: bool, tell: Tell) -> list[Point]:
 
 
 def _in_workers(
-    children: Children, tell: Tell, rounds: int, make: Callable[[int], Program]
+    children: Children, progress: Tell, rounds: int, make: Callable[[int], Program]
 ) -> Callable[[float], Point]:
     """A point by a program that `make` gives for it."""
 
@@ -145,7 +144,7 @@ def _in_workers(
     return at
 
 
-def by_batch(section: Section, quick: bool, tell: Tell) -> list[Point]:
+def by_batch(section: Section, quick: bool, progress: Tell) -> list[Point]:
     """The closed loop of a second against the number of instances."""
     sizes = (1, 16, 256, 1024) if quick else tuple(10**n for n in range(7))
 
@@ -153,13 +152,13 @@ def by_batch(section: Section, quick: bool, tell: Tell) -> list[Point]:
         given = {"batch": batch, "samples": 200 if quick else 1000, "chunk": CHUNK}
         return Program(f"{batch} instances", "loops", "loop:own", given)
 
-    with Children(tell) as children:
-        at = _in_workers(children, tell, 3, program)
+    with Children(progress) as children:
+        at = _in_workers(children, progress, 3, program)
         return sweep(sizes, at, noting(section, "batch size"))
 
 
 def by_columns(
-    section: Section, quick: bool, tell: Tell
+    section: Section, quick: bool, progress: Tell
 ) -> tuple[list[Point], list[Point]]:
     """A fit's Gram matrix against the parameters, and a trace's sums against the
     candidates.
@@ -168,7 +167,7 @@ def by_columns(
     candidates = (1, 4) if quick else (1, 2, 4, 8, 16, 28)
     with tempfile.TemporaryDirectory(prefix="hydrojax-speed.") as name:
         folder = str(Path(name))
-        tell("simulate a log")
+        progress("simulate a log")
         fresh("logs:write_case", {"folder": folder, "seconds": 8 if quick else 60})
 
         def gram(n: int) -> Program:
@@ -179,9 +178,9 @@ def by_columns(
             given = {"folder": folder, "count": n}
             return Program(f"{n} candidates", "fits", "scaling:scores", given)
 
-        with Children(tell) as children:
-            grams = _in_workers(children, tell, 5, gram)
-            sums = _in_workers(children, tell, 3, score)
+        with Children(progress) as children:
+            grams = _in_workers(children, progress, 5, gram)
+            sums = _in_workers(children, progress, 3, score)
             return (
                 sweep(counts, grams, noting(section, "parameters")),
                 sweep(candidates, sums, noting(section, "candidates")),
@@ -191,13 +190,13 @@ def by_columns(
 # -- the group --
 
 
-def run(quick: bool, tell: Tell) -> Section:
+def run(quick: bool, progress: Tell) -> Section:
     """All sweeps: points, slopes, and a picture of each."""
     section = Section()
-    columns, candidates = by_columns(section, quick, tell)
+    columns, candidates = by_columns(section, quick, progress)
     sweeps = {
-        "log length": ("min", by_length(section, quick, tell)),
-        "batch size": ("instances", by_batch(section, quick, tell)),
+        "log length": ("min", by_length(section, quick, progress)),
+        "batch size": ("instances", by_batch(section, quick, progress)),
         "parameters": ("columns", columns),
         "candidates": ("effects", candidates),
     }

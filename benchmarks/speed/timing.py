@@ -62,7 +62,7 @@ def ratio(of: Sequence[float], to: Sequence[float]) -> Spread:
 def interleave(
     programs: Mapping[str, Callable[[], float]],
     rounds: int,
-    tell: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Rounds:
     """Run every program once a round, each round in another order.
 
@@ -73,7 +73,7 @@ def interleave(
     """
     names, out = list(programs), {name: [] for name in programs}
     for i in range(rounds):
-        tell(i, rounds)
+        progress(i, rounds)
         turn = i % len(names) if names else 0
         for name in names[turn:] + names[:turn]:
             out[name].append(programs[name]())

@@ -44,9 +44,8 @@ def twice(call: Callable[[], Any]) -> tuple[Any, dict[str, float]]:
 
 def traced(folder: str) -> dict[str, Any]:
     """Trace the case twice: reading the logs, fits, verdict."""
-    from hydrojax.identify.run import applicable, open_case
-
     from benchmarks.trace.tracing import trace_folder
+    from hydrojax.identify.case import applicable, open_case
 
     place = Path(folder) / "case"
     row, seconds = twice(lambda: trace_folder(place, oracle=False, baselines=False))
@@ -70,21 +69,21 @@ def refitted(folder: str, count: int) -> dict[str, Any]:
     return seconds | {"named": found["named"], "fits": 1 + len(names)}
 
 
-def run(quick: bool, tell: Callable[[str], None]) -> Section:
+def run(quick: bool, progress: Callable[[str], None]) -> Section:
     """Trace one case, cold and warm, and refit every candidate (or a few of them)."""
     section, seconds, rounds = Section(), 6.0 if quick else 12.0, 1 if quick else 3
     with tempfile.TemporaryDirectory(prefix="hydrojax-speed.") as folder:
-        tell("record a case")
+        progress("record a case")
         fresh("trace:make_case", {"folder": folder, "seconds": seconds})
         cache, at = str(Path(folder) / "cache"), {"folder": folder}
-        tell("trace, and fill a cache on disk")
+        progress("trace, and fill a cache on disk")
         fresh("trace:traced", at, cache)
         runs: dict[str, list[dict[str, Any]]] = {"without": [], "with": []}
         for i in range(rounds):
             for kind, where in (("without", ""), ("with", cache)):
-                tell(f"trace, {kind} a cache: {i + 1} of {rounds}")
+                progress(f"trace, {kind} a cache: {i + 1} of {rounds}")
                 runs[kind].append(fresh("trace:traced", at, where))
-        tell("refit the candidates")
+        progress("refit the candidates")
         refits = fresh("trace:refitted", at | {"count": FEW[quick]})
     _figures(section, runs, refits)
     return section

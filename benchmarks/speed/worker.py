@@ -22,7 +22,7 @@ LEAST = 0.05
 
 
 def _loops() -> None:
-    from hydrojax.backend import LOOPS, set_up_jax
+    from hydrojax.jax_setup import LOOPS, set_up_jax
 
     set_up_jax(work=LOOPS)
 
@@ -35,13 +35,13 @@ def _single_loops() -> None:
 
 
 def _fits() -> None:
-    from hydrojax.backend import FITS, set_up_jax
+    from hydrojax.jax_setup import FITS, set_up_jax
 
     set_up_jax(work=FITS)
 
 
 def _both() -> None:
-    from hydrojax.backend import FITS, LOOPS
+    from hydrojax.jax_setup import FITS, LOOPS
 
     _loops()
     more = f"{LOOPS},{FITS.partition('options=')[2]}"

@@ -55,7 +55,7 @@ def main(
             raise typer.BadParameter(f"{text!r} is not KIND=N; kinds: {known}")
         wanted[kind] = int(count)
     console = Console(stderr=True)
-    from hydrojax.backend import set_up_jax
+    from hydrojax.jax_setup import set_up_jax
 
     set_up_jax(cache)
     from hydrojax.effects import EFFECTS
@@ -73,12 +73,12 @@ def main(
     with Progress(*columns, console=console, speed_estimate_period=600) as progress:
         task = progress.add_task("cases", total=len(specs))
 
-        def tell(what: str, done: int, total: int) -> None:
+        def progress(what: str, done: int, total: int) -> None:
             progress.update(task, description=what, completed=done, total=total)
 
-        rows = score.score(specs, out, tracer, jobs=jobs, tell=tell)
+        rows = score.score(specs, out, tracer, jobs=jobs, progress=progress)
         if refits:
-            baselines.refit_each(specs, out, refits, tell)
+            baselines.refit_each(specs, out, refits, progress)
     text = table.report(rows, baselines.read_refits(out))
     (out / "table.md").write_text(text, encoding="utf-8")
     print(text)

@@ -235,15 +235,15 @@ def sparse(residual: np.ndarray, columns: Columns, noise: np.ndarray) -> dict[st
 
 
 def refit_case(
-    folder: Path, tell: Callable[[str], None], names: Sequence[str] | None = None
+    folder: Path, progress: Callable[[str], None], names: Sequence[str] | None = None
 ) -> dict[str, Any]:
     """Fit the declared model alone and with each effect; BIC on the validation logs.
 
     `names` are the effects; all of the vocabulary if None.
     """
-    from hydrojax.identify import run
-
     from hydrojax.effects import EFFECTS
+    from hydrojax.identify import api
+    from hydrojax.identify.case import open_case
 
     from .tracing import declare
 
@@ -251,10 +251,10 @@ def refit_case(
     base = (folder / "rig.toml").read_text()
     began, scores = time.perf_counter(), {}
     for name in ("", *(EFFECTS if names is None else names)):
-        tell(f"{folder.name}: {name or 'declared'}")
+        progress(f"{folder.name}: {name or 'declared'}")
         rig = folder / "refit.toml"
         rig.write_text(base + (declare([name]) if name else ""))
-        outcome = run.identify(run.open_case(rig, fit, check), starts=1)
+        outcome = api.identify(open_case(rig, fit, check), starts=1)
         rows = sum(len(s.t) for s in outcome.series)
         free = sum(p.free for p in outcome.parameters.values())
         errors = [c.after for c in outcome.channels.values()]
@@ -276,7 +276,7 @@ def refit_each(
     specs: Sequence[CaseSpec],
     out: Path,
     number: int,
-    tell: Callable[[str, int, int], None],
+    progress: Callable[[str, int, int], None],
 ) -> None:
     """Refit every candidate on the first `number` cases; OUT/refits.jsonl resumes."""
     from .score import append
@@ -285,7 +285,7 @@ def refit_each(
     for i, spec in enumerate(specs[:number]):
         folder = out / "cases" / spec.name
         if spec.name not in known and (folder / "truth.json").exists():
-            row = refit_case(folder, lambda what, i=i: tell(what, i, number))
+            row = refit_case(folder, lambda what, i=i: progress(what, i, number))
             append(out / "refits.jsonl", row)
 
 

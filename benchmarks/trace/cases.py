@@ -309,7 +309,7 @@ def write_cases(
     folder: Path,
     declare: Callable[[Sequence[str]], str] | None = None,
     seconds: float = 12.0,
-    tell: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, str]:
     """Record cases side by side, a folder each: rig files, logs and truth.json.
 
@@ -325,7 +325,9 @@ def write_cases(
         Reasons by name of the cases that could not be recorded.
     """
     made = [lanes_of(spec) for spec in specs]
-    logs = record([lane for lanes, _ in made for lane in lanes], seconds, tell=tell)
+    logs = record(
+        [lane for lanes, _ in made for lane in lanes], seconds, progress=progress
+    )
     bad = {}
     for i, (spec, (_, truth)) in enumerate(zip(specs, made, strict=True)):
         own = logs[3 * i : 3 * i + 3]

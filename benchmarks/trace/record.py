@@ -27,7 +27,7 @@ def record(
     lanes: Sequence[Lane],
     seconds: float = 12.0,
     substeps: int = SUBSTEPS,
-    tell: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
     ahead: int = AHEAD,
 ) -> list[Log]:
     """Record all lanes side by side; SI, one row a tick of 1 ms.
@@ -38,10 +38,10 @@ def record(
     that is not finite, and the others untouched.
     """
     with np.errstate(all="ignore"):
-        return _record(lanes, seconds, substeps, tell, ahead)
+        return _record(lanes, seconds, substeps, progress, ahead)
 
 
-def _record(lanes, seconds, substeps, tell, ahead) -> list[Log]:
+def _record(lanes, seconds, substeps, progress, ahead) -> list[Log]:
     n, h = round(seconds / TICK) + ahead, TICK / substeps
     drives = [drive(la.seed, n + 1, la.style, la.noise, la.supply) for la in lanes]
     plant, loop = Plant(lanes, h), ForceLoop([la.nominal for la in lanes])
@@ -93,7 +93,7 @@ def _record(lanes, seconds, substeps, tell, ahead) -> list[Log]:
             if j + 1 < substeps:
                 skew.keep(k, j + 1, sensors.shown)
         if k % 100 == 0:
-            tell(k, n)
+            progress(k, n)
     if skew.lanes:
         # Read at another instant, and so with other noise than the controller saw.
         late = skew.shifted() + np.roll(noise[:n, 3], 1, axis=0)

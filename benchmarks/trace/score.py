@@ -90,7 +90,7 @@ def score(
     recorder: Recorder | None = None,
     jobs: int = 1,
     batch: int = 64,
-    tell: Tell = lambda what, done, total: None,
+    progress: Tell = lambda what, done, total: None,
 ) -> list[Row]:
     """Trace every case that OUT/results.jsonl does not hold yet; all its rows.
 
@@ -118,7 +118,7 @@ def score(
         append(path, row)
         rows.append(row)
         done += 1
-        tell(row["case"], done, total)
+        progress(row["case"], done, total)
 
     def recording(specs: Sequence[CaseSpec], folder: Path) -> dict[str, str]:
         return write_cases(specs, folder, declare)
@@ -126,14 +126,14 @@ def score(
     recorder, tracer = recorder or recording, tracer or Tracing()
     with _pool(jobs) as pool:
         for group in batches(todo, batch):
-            tell(f"recording {len(group)} cases", done, total)
+            progress(f"recording {len(group)} cases", done, total)
             bad = _record(group, folder, recorder)
             for spec in group:
                 if spec.name in bad:
                     reason = bad[spec.name]
                     keep({"case": spec.name, "ok": False, "reason": reason}, spec)
             good = [spec for spec in group if spec.name not in bad]
-            tell(f"tracing {len(good)} cases", done, total)
+            progress(f"tracing {len(good)} cases", done, total)
             for row, spec in _trace(good, folder, tracer, pool):
                 keep(row, spec)
     return [row for row in rows if row["case"] in wanted]

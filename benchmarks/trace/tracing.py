@@ -28,7 +28,7 @@ class Tracing:
 
     def __call__(self, folder: Path) -> Row:
         """The row of one case's folder."""
-        from hydrojax.backend import set_up_jax
+        from hydrojax.jax_setup import set_up_jax
 
         set_up_jax(self.cache)
         return trace_folder(folder, self.oracle, self.baselines)
@@ -36,14 +36,15 @@ class Tracing:
 
 def trace_folder(folder: Path, oracle: bool = True, baselines: bool = True) -> Row:
     """Trace one case's folder; what was found beside the truth, as plain data."""
-    from hydrojax.identify import run
+    from hydrojax.identify import api
+    from hydrojax.identify.case import open_case
 
     truth = json.loads((folder / "truth.json").read_text())
     fit, check = [folder / name for name in LOGS[:2]], [folder / LOGS[2]]
     began = time.perf_counter()
-    case = run.open_case(folder / "rig.toml", fit, check)
+    case = open_case(folder / "rig.toml", fit, check)
     opened = time.perf_counter()
-    outcome = run.trace_case(case)
+    outcome = api.trace_case(case)
     seconds = {**outcome.seconds, "open": opened - began}
     row = found(outcome, truth) | {"seconds": seconds}
     if oracle:
@@ -110,10 +111,11 @@ def _oracle(folder: Path, row: Row, fit, check) -> Row:
         return {"oracle": _column(row, "after"), "oracle_from": "trace"}
     if not (folder / "oracle.toml").exists():
         return {"oracle": None, "oracle_from": ""}
-    from hydrojax.identify import run
+    from hydrojax.identify import api
+    from hydrojax.identify.case import open_case
 
-    case = run.open_case(folder / "oracle.toml", fit, check)
-    outcome = run.identify(case, starts=1)
+    case = open_case(folder / "oracle.toml", fit, check)
+    outcome = api.identify(case, starts=1)
     errors = {n: c.after for n, c in outcome.channels.items()}
     return {"oracle": errors, "oracle_from": "identify"}
 
@@ -128,7 +130,7 @@ def declare(names: Sequence[str]) -> str:
     Strengths start at their typical size, shapes at their default: not at the truth.
     """
     from hydrojax.effects import EFFECTS
-    from hydrojax.params import specs
+    from hydrojax.parameters import specs
     from hydrojax.units import with_command
 
     lines = []

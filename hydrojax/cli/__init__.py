@@ -7,10 +7,10 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from .. import __version__
-from ..errors import InputError
-from . import batch, export, identify, loop, tune
-from .desk import app, console, errors
+from hydrojax import __version__
+from hydrojax.cli import batch, export, identify, loop, tune
+from hydrojax.cli.options import app, console, errors
+from hydrojax.errors import InputError
 
 
 def _version(wanted: bool) -> None:

@@ -1,5 +1,5 @@
 """`python -m hydrojax.cli`."""
 
-from . import main
+from hydrojax.cli import main
 
 main()

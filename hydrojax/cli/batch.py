@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..backend import set_up_jax, user_cache
-from ..errors import InputError
-from .desk import (
+from hydrojax.cli.options import (
     Cluster,
     Effects,
     Horizon,
@@ -24,6 +22,8 @@ from .desk import (
     errors,
     load_effects,
 )
+from hydrojax.errors import InputError
+from hydrojax.jax_setup import set_up_jax, user_cache
 
 
 @app.command()
@@ -66,16 +66,16 @@ def batch(
         raise InputError(f"--command {command}: write identify or trace")
     set_up_jax(user_cache())
     load_effects(effects)
-    from ..fleet.run import Stopped, run_fleet
-    from ..fleet.work import Options
+    from hydrojax.workflows.fleet.run import Stopped, run_fleet
+    from hydrojax.workflows.fleet.work import Options
 
     options = Options(
         command=command, horizon=horizon, starts=starts, matters=matters, level=level,
         profile=profile, effects=tuple(map(str, effects or ())),
     )  # fmt: skip
     try:
-        with counted(command) as tell:
-            ran = run_fleet(jobs, out, options, workers, cluster, tell)
+        with counted(command) as progress:
+            ran = run_fleet(jobs, out, options, workers, cluster, progress)
     except Stopped as stop:
         errors.print(
             f"hydrojax: stopped: {stop}; give the same command again to go on",

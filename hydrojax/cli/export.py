@@ -7,18 +7,18 @@ from typing import Annotated
 
 import typer
 
-from ..backend import set_up_jax, user_cache
-from ..errors import InputError
-from ..files import write_all
-from .desk import (
+from hydrojax.cli.options import (
     Effects,
     RigFile,
     app,
     check_out,
     console,
     load_effects,
-    progress,
+    show_progress,
 )
+from hydrojax.errors import InputError
+from hydrojax.jax_setup import set_up_jax, user_cache
+from hydrojax.report.files import write_all
 
 
 @app.command()
@@ -41,13 +41,13 @@ def export(
     check_out(out)
     set_up_jax(user_cache())
     load_effects(effects)
-    from .. import interchange
-    from ..build import load_rig
+    from hydrojax import export
+    from hydrojax.rigfile.build import load_rig
 
-    with progress() as tell:
-        tell("write the rig")
+    with show_progress() as progress:
+        progress("write the rig")
         spec = load_rig(rig)
-        made = interchange.export(spec, to)
+        made = export.export(spec, to)
         for name in made.files:
             if (out / name).exists() and (out / name).samefile(rig):
                 raise InputError(

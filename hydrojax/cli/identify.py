@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from ..backend import set_up_jax, user_cache
-from .desk import (
+from hydrojax.cli.options import (
     Effects,
     Horizon,
     Level,
@@ -23,11 +22,12 @@ from .desk import (
     check_out,
     console,
     load_effects,
-    progress,
+    show_progress,
 )
+from hydrojax.jax_setup import set_up_jax, user_cache
 
 if TYPE_CHECKING:
-    from ..identify.outcome import Outcome
+    from hydrojax.identify.results.outcome import Outcome
 
 
 @app.command()
@@ -48,11 +48,12 @@ def identify(
     check_out(out)
     set_up_jax(user_cache())
     load_effects(effects)
-    from ..identify import run
+    from hydrojax.identify import api
+    from hydrojax.identify.case import open_case
 
-    with progress() as tell:
-        case = run.open_case(rig, logs, validate or (), horizon)
-        outcome = run.identify(case, starts, tell, profile)
+    with show_progress() as progress:
+        case = open_case(rig, logs, validate or (), horizon)
+        outcome = api.identify(case, starts, progress, profile)
     _finish(outcome, out)
 
 
@@ -101,18 +102,19 @@ def _trace(
     check_out(out)
     set_up_jax(user_cache())
     load_effects(effects)
-    from ..identify import run
+    from hydrojax.identify import api
+    from hydrojax.identify.case import open_case
 
-    with progress() as tell:
-        case = run.open_case(rig, logs, validate, horizon)
-        outcome = run.trace_case(case, starts, matters, level, tell, profile)
+    with show_progress() as progress:
+        case = open_case(rig, logs, validate, horizon)
+        outcome = api.trace_case(case, starts, matters, level, progress, profile)
     _finish(outcome, out)
 
 
 def _finish(outcome: Outcome, out: Path) -> None:
     """Write the report and show the gist of it."""
-    from ..identify.naming import quantity
-    from ..identify.report import write_report
+    from hydrojax.identify.report.write import write_report
+    from hydrojax.report.text import quantity
 
     write_report(outcome, out)
     console.print(outcome.verdict, style="bold", end="  ")

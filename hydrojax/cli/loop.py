@@ -8,10 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from ..backend import LOOPS, set_up_jax, user_cache
-from ..errors import InputError
-from ..files import write_all
-from .desk import (
+from hydrojax.cli.options import (
     Effects,
     Gains,
     Logs,
@@ -23,8 +20,11 @@ from .desk import (
     console,
     given,
     load_effects,
-    progress,
+    show_progress,
 )
+from hydrojax.errors import InputError
+from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
+from hydrojax.report.files import write_all
 
 
 @app.command()
@@ -61,25 +61,26 @@ def simulate(
     import equinox as eqx
     import numpy as np
 
-    from .. import record, simulation
-    from ..build import load_rig, make_effects, make_rig
-    from ..controller import make_loop
+    from hydrojax.control import simulation
+    from hydrojax.rigfile import recording
+    from hydrojax.rigfile.build import load_rig, make_effects, make_rig
+    from hydrojax.rigfile.controller import make_loop
 
-    record.check_kind(out)
+    recording.check_kind(out)
     spec = load_rig(rig)
-    with progress() as tell:
-        tell("run the closed loop")
+    with show_progress() as progress:
+        progress("run the closed loop")
         loop = make_loop(spec, None, given(gains or []))
-        course = record.read_course(spec, loop, reference, motion, seconds, seed)
-        x = course.road.x
+        scenario = recording.read_scenario(spec, loop, reference, motion, seconds, seed)
+        x = scenario.environment.x
         own = make_effects(spec.effects, spec, (float(x.min()), float(x.max())))
         loop = eqx.tree_at(lambda lo: lo.rig, loop, make_rig(spec, own))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # said below, in one line
-            run = simulation.simulate(loop, course)
+            run = simulation.simulate(loop, scenario)
     if run.diverged:
         raise InputError(f"{rig}: {run.warning()}")
-    record.write_log(out, record.columns(run, spec))
+    recording.write_log(out, recording.columns(run, spec))
     still = (
         ""
         if np.ptp(run["x"])
@@ -127,12 +128,13 @@ def excite(
     check_file(out)
     set_up_jax(user_cache())
     load_effects(effects)
-    from .. import record, units
-    from ..build import load_rig
-    from ..identify.excite import Limits, design
-    from ..identify.naming import quantity
+    from hydrojax import units
+    from hydrojax.identify.design import Limits, design
+    from hydrojax.report.text import quantity
+    from hydrojax.rigfile import recording
+    from hydrojax.rigfile.build import load_rig
 
-    record.check_kind(out)
+    recording.check_kind(out)
     spec = load_rig(rig)
     both = [name for word in separate or [] for name in word.split(",")]
     if both and len(both) != 2:
@@ -145,9 +147,11 @@ def excite(
     ]  # fmt: skip
     if min(most) <= 0:
         raise InputError("--force, --speed and --travel must be above 0")
-    with progress() as tell:
-        found = design(spec, Limits(*most, seconds=seconds), both, tell=tell)
-    record.write_log(out, record.course_columns(found.t, found.F_d, found.x, spec))
+    with show_progress() as progress:
+        found = design(spec, Limits(*most, seconds=seconds), both, progress=progress)
+    recording.write_log(
+        out, recording.scenario_columns(found.t, found.F_d, found.x, spec)
+    )
     what = "least size shown" if both else "standard deviation"
     table = Table(what, "undesigned", "designed", "times better")
     for name, before in found.before.items():
@@ -181,17 +185,19 @@ def bounds(
     load_effects(effects)
     import json
 
-    from .. import roof
-    from ..identify import run
-    from ..identify.figures import png
+    from hydrojax.identify.case import open_case
+    from hydrojax.identify.report.figures import png
+    from hydrojax.workflows import friction_bounds
 
-    with progress() as tell:
-        case = run.open_case(rig, logs, validate or ())
-        found = roof.friction_bounds(case, confidence, stretch, tell)
-        figure = roof.bounds_figure(found)
+    with show_progress() as progress:
+        case = open_case(rig, logs, validate or ())
+        found = friction_bounds.friction_bounds(case, confidence, stretch, progress)
+        figure = friction_bounds.bounds_figure(found)
     files = {
         "rig.toml": found.rig_file.encode(),
-        "bounds.json": (json.dumps(roof.json_of(found), indent=1) + "\n").encode(),
+        "bounds.json": (
+            json.dumps(friction_bounds.json_of(found), indent=1) + "\n"
+        ).encode(),
         "bounds.png": png(figure),
     }
     write_all(out, files)
@@ -213,13 +219,13 @@ def paper(out: Out = Path("hydrojax-paper")) -> None:
     set_up_jax(user_cache(), LOOPS)
     import json
 
-    from .. import paper as experiments
-    from ..identify.figures import png
-    from ..paper_figures import figures
+    from hydrojax.identify.report.figures import png
+    from hydrojax.paper import experiments as experiments
+    from hydrojax.paper.figures import figures
 
-    with progress() as tell:
-        found = experiments.experiments(tell)
-        tell("draw")
+    with show_progress() as progress:
+        found = experiments.experiments(progress)
+        progress("draw")
         drawn = figures(found)
         content = experiments.json_of(found)
     files = {f"{name}.png": png(figure) for name, figure in drawn.items()}

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from ..backend import LOOPS, set_up_jax, user_cache
-from .desk import (
+from hydrojax.cli.options import (
     At,
     Cluster,
     Effects,
@@ -22,8 +21,9 @@ from .desk import (
     counted,
     given,
     load_effects,
-    progress,
+    show_progress,
 )
+from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 
 
 @app.command()
@@ -72,21 +72,21 @@ def sweep(
     check_out(out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
-    from ..tune import maps, run
+    from hydrojax.tune import plan, plots
 
     words = (
         rig, over, by or ("linear",), given(gains or []), at or (), ensemble, spread,
         report, frozen,
     )  # fmt: skip
-    with counted("sweep") as tell:
+    with counted("sweep") as progress:
         if cluster:
-            from ..fleet.sweeps import share_sweep
+            from hydrojax.workflows.fleet.sweeps import share_sweep
 
-            share_sweep(words, effects or (), out, cluster, tell)
-        data = run.sweep_rig(*words, out, tell)
-    for name, figure in maps.figures(data).items():
+            share_sweep(words, effects or (), out, cluster, progress)
+        data = plan.sweep_rig(*words, out, progress)
+    for name, figure in plots.figures(data).items():
         figure.savefig(out / f"{name}.png", dpi=120)
-    for line in run.sentences(data):
+    for line in plan.sentences(data):
         console.print(line)
     console.print(f"sweep.nc and pictures in {out}")
 
@@ -140,15 +140,17 @@ def tune(
     check_out(out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
-    from ..tune import goal, report, tuning
+    from hydrojax.tune import api, objective, report
 
-    limits = goal.Limits(peak=peak, sensitivity=margin, noise=noise, tracking=tracking)
-    with progress() as tell:
-        tuned, path = tuning.tune(
+    limits = objective.Limits(
+        peak=peak, sensitivity=margin, noise=noise, tracking=tracking
+    )
+    with show_progress() as progress:
+        tuned, path = api.tune(
             source, rig, free or (), at or (), adaptation, ensemble, spread,
-            limits, starts, tell,
+            limits, starts, progress,
         )  # fmt: skip
-        tell("draw")
+        progress("draw")
         report.write(tuned, path, out)
     console.print(report.sentence(tuned))
     table = Table("gain", "before", "after", "unit")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from jaxtyping import Array
 
-from ..channels import (
+from hydrojax.effects import registry
+from hydrojax.effects.channels import (
     ChannelSkew,
     CommandChannel,
     LoadcellGain,
@@ -22,9 +23,7 @@ from ..channels import (
     ValveLag,
     ValveRateLimit,
 )
-from ..params import Effect, param
-from . import own
-from .hydraulic import (
+from hydrojax.effects.fluid import (
     DeadVolume,
     EntrainedAir,
     ExternalLeakage,
@@ -35,7 +34,7 @@ from .hydraulic import (
     SupplyLineDrop,
     Underlap,
 )
-from .mechanical import (
+from hydrojax.effects.mechanics import (
     Backlash,
     BristleDamping,
     ForceEffect,
@@ -52,6 +51,7 @@ from .mechanical import (
     Stribeck,
     ViscousFriction,
 )
+from hydrojax.parameters import Effect, param
 
 EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect
@@ -93,13 +93,13 @@ EFFECTS: dict[str, type[Effect]] = {
 
 def load_effects(path: str | Path) -> dict[str, type[Effect]]:
     """Add the effects that a Python file defines; see `own.load_effects`."""
-    return own.load_effects(path, EFFECTS)
+    return registry.load_effects(path, EFFECTS)
 
 
 @cache
 def offered() -> dict[str, type[Effect]]:
     """Add, once, the effects that installed packages offer; see `own.offered`."""
-    return own.offered(EFFECTS)
+    return registry.offered(EFFECTS)
 
 
 __all__ = [

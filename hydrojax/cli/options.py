@@ -1,0 +1,153 @@
+"""What the commands have in common: options, progress, checks of where they write."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from hydrojax.errors import InputError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Find the effect behind the residual of a hydraulic force-control model.",
+)
+console = Console()
+errors = Console(stderr=True)
+
+RigFile = Annotated[Path, typer.Argument(help="Rig file (TOML).", show_default=False)]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Logs to fit: CSV(.gz), Parquet, MAT, MCAP or a ROS 2 bag's folder.",
+        show_default=False,
+    ),
+]
+Horizon = Annotated[float, typer.Option(help="Length of a replay window, s.", min=0.01)]
+Out = Annotated[Path, typer.Option(help="Folder for the report and its figures.")]
+Effects = Annotated[
+    list[Path] | None,
+    typer.Option(help="Python file with effects of your own; may be repeated."),
+]
+
+
+Gains = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Keys of [controller] to replace, as k_p=1.5 or 'A_a=6 V*s,15 V*s': "
+        "all words that follow.",
+        show_default=False,
+    ),
+]
+At = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Operating point and other quantities, as v=0.01 or amplitude=200: "
+        "all words that follow.",
+        show_default=False,
+    ),
+]
+
+Cluster = Annotated[
+    str,
+    typer.Option(
+        help="Address of a dask scheduler, or local:N, whose workers do it.",
+        show_default=False,
+    ),
+]
+
+Matters = Annotated[
+    float,
+    typer.Option(help="Least fall of the error, as a share of the noise.", min=0.0),
+]
+Level = Annotated[
+    float, typer.Option(help="Family-wise significance.", min=1e-12, max=0.5)
+]
+
+Profile = Annotated[
+    bool,
+    typer.Option("--profile", help="Intervals by profile likelihood too: many refits."),
+]
+
+
+@contextmanager
+def show_progress() -> Iterator[Callable[[str], None]]:
+    """A line that says what is being done, and for how long it has been."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    quiet = not errors.is_terminal  # else a log file gets an empty line
+    with Progress(*columns, console=errors, transient=True, disable=quiet) as bar:
+        task = bar.add_task("read the logs")
+        yield lambda what: bar.update(task, description=what)
+
+
+@contextmanager
+def counted(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar of so many done out of so many, with the time that is left."""
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )  # fmt: skip
+    quiet = not errors.is_terminal
+    with Progress(*columns, console=errors, transient=True, disable=quiet) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def check_out(out: Path) -> None:
+    """Refuse a folder that cannot be written, before any work."""
+    for path in (out, *out.parents):
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file: name a folder with --out")
+    there = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not os.access(there, os.W_OK):
+        raise InputError(f"{out}: cannot be written to: name another folder with --out")
+
+
+def check_file(out: Path) -> None:
+    """Refuse a file that cannot be written, before any work."""
+    if out.is_dir():
+        raise InputError(f"{out}: is a folder: name a file with --out")
+    check_out(out.parent)
+
+
+def load_effects(files: list[Path] | None) -> None:
+    """Take a user's own effects into the vocabulary."""
+    from hydrojax.effects import load_effects
+
+    for path in files or ():
+        load_effects(path)
+
+
+def given(words: list[str]) -> dict[str, object]:
+    """`name=value` or `name=lower,upper` words as keys of [controller]."""
+    out: dict[str, object] = {}
+    for word in words:
+        name, sign, text = word.partition("=")
+        if not sign or not text.strip():
+            raise InputError(f"--gains {word!r}: write NAME=VALUE, such as k_p=1.5")
+        values = [_number(part) for part in text.split(",")]
+        out[name.strip()] = values[0] if len(values) == 1 else values
+    return out
+
+
+def _number(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text

@@ -1,0 +1,1 @@
+"""Controllers, and the loop they close: the paper's law, inputs, simulation, theory."""

@@ -1,0 +1,237 @@
+"""The adaptive output-force law of the paper, sampled: (18), (23)-(30).
+
+SI inside: `u` of (23) is the virtual input in m^2/s, so that the gains carry
+m^2/(s N). The paper prints them in volts per kN; the door (`build`) multiplies by the
+nominal valve gain once.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hydrojax.plant.friction import Theta
+from hydrojax.plant.rig import Rig
+
+LEAST_DROP = 1e4
+"""Pressure drop (Pa) below which (18) is inverted as if there were this much: the
+measured pressure may touch P_s or P_r, where the valve's gain vanishes."""
+
+
+class Estimates(NamedTuple):
+    """One value for each estimate: 1/beta of (28), A_a of (29), theta_f of (30)."""
+
+    k_1: Array
+    A_a: Array
+    k_cp: Array
+    k_cn: Array
+    k_0: Array
+    k_vp: Array
+    k_vn: Array
+    k_fp: Array
+    k_fn: Array
+
+    @property
+    def theta_f(self) -> Theta:
+        """The last seven: friction's."""
+        return Theta(*self[2:])
+
+
+class Measured(NamedTuple):
+    """What the law reads at one sample: Pa, N, m."""
+
+    P_a1: Array
+    P_a2: Array
+    P_s: Array
+    F: Array
+    x: Array
+
+
+class Memory(NamedTuple):
+    """What the law remembers between samples, SI."""
+
+    estimates: Estimates
+    x: Array
+    v: Array
+    z: Array
+    speed: Array
+    P_d: Array
+    P_d_rate: Array
+
+
+class ControllerSignals(NamedTuple):
+    """What the law made of one sample: the signals of (23)-(25), SI."""
+
+    P: Array
+    P_d: Array
+    P_d_rate: Array
+    v: Array
+    swept: Array
+    virtual: Array
+
+
+class Law(eqx.Module):
+    """The controller: gains, adaptation, and the rig as it is believed to be.
+
+    An estimate starts midway between its bounds. It is adapted where its rate is
+    above zero, frozen where the rate is zero, and off where both bounds are zero.
+
+    Attributes:
+        nominal: the rig without effects; of it the law uses the valve (18), the
+            chambers' lengths (10)(11), the areas (16), and z_ss, delta, L(t).
+        k_p, k_f: m^2/(s N).
+        rate: rho_1, rho_a, c_1 ... c_7 of (28)-(30), SI.
+        lower, upper: the bounds of the nine estimates, SI.
+        P_r: return pressure as believed, Pa.
+        u_max: where the command saturates, V or 1.
+        tau_d: time constant of the filtered difference that stands for the rate of
+            P_d, s; 0 is the plain difference.
+        tau_v: the same for the velocity from the position, s.
+    """
+
+    nominal: Rig
+    k_p: Array
+    k_f: Array
+    rate: Estimates
+    lower: Estimates
+    upper: Estimates
+    P_r: Array
+    u_max: Array
+    tau_d: Array
+    tau_v: Array
+
+    def init(self, seen: Measured, F_d: Array) -> Memory:
+        """At rest, at the first sample."""
+        middle = jax.tree.map(lambda a, b: (a + b) / 2, self.lower, self.upper)
+        estimates = Estimates(*(jnp.broadcast_to(m, jnp.shape(seen.x)) for m in middle))
+        zero = jnp.zeros_like(seen.x)
+        P_d = self.desired(estimates, zero, zero, zero, F_d)[0]
+        return Memory(estimates, seen.x, zero, zero, zero, P_d, zero)
+
+    def step(
+        self, memory: Memory, seen: Measured, F_d: Array, h: Array
+    ) -> tuple[Memory, Array, ControllerSignals]:
+        """One sample: new memory, the command u* (V or 1), and what led to it.
+
+        The estimates of this sample make the command; what it teaches them holds from
+        the next on.
+        """
+        dx = seen.x - memory.x
+        v = (self.tau_v * memory.v + dx) / (self.tau_v + h)
+        friction = self.nominal.mechanics
+        keep, add = friction.bristle_map(dx)
+        z = keep * memory.z + add
+        keep, add = friction.speed_map(dx, h)
+        speed = keep * memory.speed + add
+
+        P_d, row = self.desired(memory.estimates, z, v, speed, F_d)
+        gone = self.tau_d * memory.P_d_rate + P_d - memory.P_d
+        P_d_rate = gone / (self.tau_d + h)
+        P = self.nominal.drive_force(seen.P_a1, seen.P_a2)
+        swept = self.chi(seen.x) * v
+        k_1, A_a = memory.estimates[:2]
+        virtual = (
+            k_1 * P_d_rate
+            + A_a * swept
+            + self.k_p * (P_d - P)
+            + self.k_f * (F_d - seen.F)
+        )
+        lead = Estimates(
+            (P_d - P) * P_d_rate,
+            (P_d - P) * swept,
+            *((F_d - seen.F) * y for y in row),
+        )
+        estimates = Estimates(
+            *(
+                project(*each, h)
+                for each in zip(
+                    memory.estimates, lead, self.rate, self.lower, self.upper,
+                    strict=True,
+                )
+            )
+        )  # fmt: skip
+        memory = Memory(estimates, seen.x, v, z, speed, P_d, P_d_rate)
+        thought = ControllerSignals(P, P_d, P_d_rate, v, swept, virtual)
+        return memory, self.command(virtual, seen), thought
+
+    def desired(
+        self, estimates: Estimates, z: Array, v: Array, speed: Array, F_d: Array
+    ) -> tuple[Array, Theta]:
+        """P_d (N) of (24)(25), and the row of (26) that made it."""
+        row = self.nominal.mechanics.regressor(z, v, speed, F_d)
+        f = sum(y * k for y, k in zip(row, estimates.theta_f, strict=True))
+        return F_d + f, row
+
+    def chi(self, x: Array) -> Array:
+        """What (19) calls chi, 1/m.
+
+        With two areas, `A_a chi` is `A_1/x_a1 + A_2/x_a2`, A_a their mean over the
+        chambers that push.
+        """
+        x_1, x_2 = self.nominal.chambers.lengths(x)
+        areas = self.nominal.chambers.area_1, self.nominal.chambers.area_2
+        w_1, w_2 = self._pushing()
+        mean = mean_area(self.nominal)
+        return (w_1 * areas[0] / x_1 + w_2 * areas[1] / x_2) / mean
+
+    def command(self, virtual: Array, seen: Measured) -> Array:
+        """u* from u by (18), saturated."""
+        x_1, x_2 = self.nominal.chambers.lengths(seen.x)
+        w_1, w_2 = self._pushing()
+
+        def root(drop):
+            return jnp.sqrt(jnp.maximum(drop, LEAST_DROP))
+
+        c = self.nominal.lands
+        up = w_1 * c.c_p1 * root(seen.P_s - seen.P_a1) / x_1
+        up = up + w_2 * c.c_n2 * root(seen.P_a2 - self.P_r) / x_2
+        down = w_1 * c.c_n1 * root(seen.P_a1 - self.P_r) / x_1
+        down = down + w_2 * c.c_p2 * root(seen.P_s - seen.P_a2) / x_2
+        u = -virtual / jnp.where(virtual < 0, up, down)
+        return within(u, -self.u_max, self.u_max)
+
+    def _pushing(self) -> tuple[Array, Array]:
+        """How much of each chamber's pressure reaches P: 1, or 0 where it is open."""
+        n = self.nominal
+        return (
+            n.force_area_1 / n.chambers.area_1,
+            n.force_area_2 / n.chambers.area_2,
+        )
+
+
+def mean_area(rig: Rig) -> Array:
+    """A_a of (16)-(23): the mean area of the chambers that push, m^2."""
+    c = rig.chambers
+    w_1, w_2 = rig.force_area_1 / c.area_1, rig.force_area_2 / c.area_2
+    return (w_1 * c.area_1 + w_2 * c.area_2) / (w_1 + w_2)
+
+
+def truth(rig: Rig) -> Estimates:
+    """What the nine estimates are estimates of, SI: the plant's own values."""
+    friction = (getattr(rig.mechanics, name) for name in Theta._fields)
+    return Estimates(1 / rig.chambers.beta, mean_area(rig), *friction)
+
+
+def within(value: Array, lower: Array, upper: Array) -> Array:
+    """`value` held in [lower, upper], with the whole derivative of the end it is at.
+
+    A clip would share the derivative in two where value and end are equal, which is
+    where an estimate on its bound stands.
+    """
+    value = jnp.where(value >= upper, upper, value)
+    return jnp.where(value <= lower, lower, value)
+
+
+def project(
+    theta: Array, s: Array, rate: Array, lower: Array, upper: Array, h: Array
+) -> Array:
+    """The function P of (28)-(30) over `h` seconds: `theta' = rate s kappa`.
+
+    kappa is 0 where theta is at a bound and s points outward: the bound itself is then
+    the step's end, and a step that would cross one ends on it.
+    """
+    return within(theta + h * rate * s, lower, upper)

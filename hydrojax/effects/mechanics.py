@@ -1,0 +1,258 @@
+"""Effects that add in the mechanics: speed, level, friction, forces, stretch."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hydrojax.parameters import Effect, param
+from hydrojax.plant.friction import Sliding
+
+
+class LevelEffect(Effect):
+    """Adds to the Coulomb level: `level(at, base) -> N`."""
+
+    place = "level"
+    needs = ("F",)
+
+    def level(self, at: Sliding, base: Array) -> Array:
+        """What is added to the Coulomb level `base` (N) of this direction."""
+        raise NotImplementedError
+
+
+class Stribeck(LevelEffect):
+    """Rise of the Coulomb level near standstill (F2)."""
+
+    name = "stribeck"
+    residual_axis = "v"
+    k_st: Array = param("N", 0.0, 0.0, 1e4, "rise", strength=True, size=50.0)
+    v_s: Array = param(
+        "m/s", 5e-3, 3e-4, 0.1, "Stribeck speed", grid=(1.5e-3, 5e-3, 1.5e-2)
+    )
+
+    def level(self, at, base):
+        return self.k_st * jnp.exp(-((at.v / self.v_s) ** 2))
+
+
+class PressureFriction(LevelEffect):
+    """Seal friction that grows with pressure (F5)."""
+
+    name = "pressure_friction"
+    needs = ("F", "P_a2")
+    residual_axis = "P_a1 + P_a2"
+    a: Array = param("1", 0.0, -500.0, 500.0, "growth", strength=True, size=0.1)
+
+    def level(self, at, base):
+        return base * self.a * (at.P_a1 + at.P_a2) / (2 * at.P_s)
+
+
+def _wave(description: str) -> Array:
+    return param("1", 0.0, -1.5, 1.5, description, strength=True, size=0.05, prior=0.5)
+
+
+class PositionFriction(LevelEffect):
+    """Coulomb level that varies along the stroke (F6): a wave and two overtones.
+
+    The wavelength is free, so that a bore's own wave is met exactly; at twice the
+    travel the three waves follow any smooth profile. `x_from` and `x_to` are the
+    travel (m), of the logs that are fitted.
+    """
+
+    name = "position_friction"
+    residual_axis = "x"
+    x_from: Array = eqx.field(default=-0.1, converter=lambda x: jnp.asarray(x, float))
+    x_to: Array = eqx.field(default=0.1, converter=lambda x: jnp.asarray(x, float))
+    s_1: Array = _wave("sine")
+    c_1: Array = _wave("cosine")
+    s_2: Array = _wave("sine, first overtone")
+    c_2: Array = _wave("cosine, first overtone")
+    s_3: Array = _wave("sine, second overtone")
+    c_3: Array = _wave("cosine, second overtone")
+    waves: Array = param(
+        "1", 1.0, 0.3, 5.0, "waves in the travel", grid=(0.5, 1.0, 2.0)
+    )
+
+    def level(self, at, base):
+        half = (self.x_to + self.x_from) / 2
+        angle = 2 * jnp.pi * self.waves * (at.x - half) / (self.x_to - self.x_from)
+        s, c = jnp.sin(angle), jnp.cos(angle)
+        s2, c2 = 2 * s * c, c * c - s * s
+        wave = self.s_1 * s + self.c_1 * c + self.s_2 * s2 + self.c_2 * c2
+        return base * (
+            wave + self.s_3 * (s2 * c + c2 * s) + self.c_3 * (c2 * c - s2 * s)
+        )
+
+
+class FrictionDrift(LevelEffect):
+    """Coulomb level that drifts as the rig warms (F11)."""
+
+    name = "friction_drift"
+    residual_axis = "t"
+    a: Array = param("1", 0.0, -3.0, 3.0, "drift", strength=True, size=0.05)
+    tau: Array = param("s", 10.0, 0.5, 1e3, "time constant", grid=(3.0, 10.0, 40.0))
+
+    def level(self, at, base):
+        return base * self.a * jnp.expm1(-at.t / self.tau)
+
+
+class FrictionForce(Effect):
+    """Adds a friction force inside f_c: `force(at) -> N`."""
+
+    place = "friction"
+    needs = ("F",)
+
+    def force(self, at: Sliding) -> Array:
+        """Friction force beside the paper's f_c, N."""
+        raise NotImplementedError
+
+
+class ViscousFriction(FrictionForce):
+    """Viscous friction `b v` (F1)."""
+
+    name = "viscous_friction"
+    residual_axis = "v"
+    b: Array = param("N*s/m", 0.0, -1e6, 1e6, "viscous", strength=True, size=300.0)
+
+    def force(self, at):
+        return self.b * at.v
+
+
+class BristleDamping(FrictionForce):
+    """Damping of the bristles `sigma_1 dz/dt` (F3), dropped in Remark 2.1."""
+
+    name = "bristle_damping"
+    residual_axis = "z_rate"
+    sigma_1: Array = param("N*s/m", 0.0, 0.0, 1e7, "damping", strength=True, size=5e3)
+
+    def force(self, at):
+        return self.sigma_1 * at.z_rate
+
+
+class FrictionalLag(Effect):
+    """Friction that follows the speed with a lag (F4), as an oil film's thickness.
+
+    All of f_c that depends on speed (k_v, Stribeck, viscous) sees the film, whose speed
+    follows `abs(v)` with `tau_h`; the bristle does not. The film depends on motion
+    alone, long before a window begins, so it is run once over a whole log.
+    """
+
+    name = "frictional_lag"
+    place = "velocity"
+    needs = ("F",)
+    residual_axis = "a"
+    tau_h: Array = param(
+        "s",
+        0.0,
+        0.0,
+        0.5,
+        "time constant",
+        strength=True,
+        size=5e-3,
+        minimum=1e-3,
+        grid=(0.03, 0.15),
+    )
+
+    def follow(self, before: Array, now: Array, h: Array) -> tuple[Array, Array]:
+        """The film's step as `w -> keep w + add`, exact for a speed along a line.
+
+        The speed (m/s) goes from `before` to `now` within `h` seconds.
+        """
+        absent = self.tau_h <= 0
+        keep = jnp.where(absent, 0.0, jnp.exp(-h / jnp.where(absent, 1.0, self.tau_h)))
+        late = self.tau_h * (now - before) / h
+        return keep, now - late - keep * (before - late)
+
+
+class StretchEffect(Effect):
+    """Lets the piston stand apart from the encoder: `stretch(F) -> m`, rising with F.
+
+    Chambers and friction see the piston. In a replay the logged force drives it; in
+    simulation the plant's own.
+    """
+
+    place = "stretch"
+    needs = ("u", "loadcell")
+    residual_axis = "F"
+
+    def stretch(self, F: Array) -> Array:
+        """How far the piston stands ahead of the encoder under `F` (N), m."""
+        raise NotImplementedError
+
+
+class RodCompliance(StretchEffect):
+    """Rod and mount that give (M3): the piston stands `F/k` ahead of the encoder.
+
+    Stored as `1/k` so that absent is 0.
+    """
+
+    name = "rod_compliance"
+    give: Array = param(
+        "m/N",
+        0.0,
+        0.0,
+        1e-5,
+        "stiffness of the rod",
+        strength=True,
+        size=5e-9,
+        outside=("k", "N/m"),
+    )
+
+    def stretch(self, F):
+        return self.give * F
+
+
+class Backlash(StretchEffect):
+    """Play of width `b` between piston and load (M4): `b/2 tanh(F/F_w)`.
+
+    The play is crossed where F changes sign, over a force of about `F_w`.
+    """
+
+    name = "backlash"
+    b: Array = param("m", 0.0, 0.0, 5e-3, "width", strength=True, size=1e-5)
+    F_w: Array = param(
+        "N", 30.0, 2.0, 1e3, "force that crosses it", grid=(10.0, 30.0, 100.0)
+    )
+
+    def stretch(self, F):
+        return 0.5 * self.b * jnp.tanh(F / self.F_w)
+
+
+class ForceEffect(Effect):
+    """Adds a force between piston and load cell: `force(at) -> N`."""
+
+    place = "force"
+    needs = ("F",)
+
+    def force(self, at: Sliding) -> Array:
+        """Force added to what the load cell feels, N."""
+        raise NotImplementedError
+
+
+class PayloadInertia(ForceEffect):
+    """Mass between piston and load cell (M1): `-m a`."""
+
+    name = "payload_inertia"
+    residual_axis = "a"
+    m: Array = param("kg", 0.0, 0.0, 1e5, "mass", strength=True, size=5.0)
+
+    def force(self, at):
+        return -self.m * at.a
+
+
+class GravityLoad(ForceEffect):
+    """Weight of that mass about the joint (M2): `w sin(psi + psi_0)`.
+
+    Stored as `w_s = w cos(psi_0)` and `w_c = w sin(psi_0)`, which are linear.
+    """
+
+    name = "gravity_load"
+    needs = ("F", "psi")
+    residual_axis = "psi"
+    radius: Array = eqx.field(default=1.0, converter=lambda x: jnp.asarray(x, float))
+    w_s: Array = param("N", 0.0, -1e6, 1e6, "w cos(psi_0)", strength=True, size=50.0)
+    w_c: Array = param("N", 0.0, -1e6, 1e6, "w sin(psi_0)", strength=True, size=50.0)
+
+    def force(self, at):
+        psi = at.x / self.radius
+        return self.w_s * jnp.sin(psi) + self.w_c * jnp.cos(psi)

@@ -1,0 +1,160 @@
+"""A rig that another program drives: its variables by name, and where it stands.
+
+What an FMU says of itself comes from here; no word of the FMI is in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hydrojax import units
+from hydrojax.errors import InputError
+from hydrojax.export.stepping import SAME, Drive, advance, has_queue, start, ticks_of
+from hydrojax.export.tree import identifier, meaning, plant
+from hydrojax.plant.named import get, hydraulic_names, parameter_specs, put
+from hydrojax.plant.rig import Rig
+from hydrojax.rigfile.build import BASE
+from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.schema import RigFile
+
+Names = Mapping[str, tuple[str, str]]
+"""Variables by name: the SI unit, and what each is."""
+
+INPUTS: Names = {
+    "u": ("{u}", "valve command, held over the step"),
+    "P": ("N", "net drive force, held over the step"),
+    "x": ("m", "piston position at the step's start, 0 at mid-stroke"),
+    "v": ("m/s", "piston velocity at the step's start"),
+    "a": ("m/s^2", "piston acceleration, held over the step"),
+    "P_s": ("Pa", "supply pressure, held over the step"),
+    "P_r": ("Pa", "return pressure, held over the step"),
+}
+
+OUTPUTS: Names = {
+    "P_a1": ("Pa", "pressure of chamber 1, as its sensor reads it"),
+    "P_a2": ("Pa", "pressure of chamber 2, as its sensor reads it"),
+    "F": ("N", "output force, as the load cell reads it"),
+}
+
+STARTS: Names = {
+    "P_a1_start": ("Pa", "pressure of chamber 1 at the start"),
+    "P_a2_start": ("Pa", "pressure of chamber 2 at the start"),
+}
+
+WITHOUT = {
+    "pull-pull": ("P",),
+    "differential": ("P",),
+    "single": ("P", "P_a1", "P_a1_start"),
+    "driven-axis": ("u", "P_s", "P_r", "P_a1", "P_a2", *STARTS),
+}
+"""What each layout has not."""
+
+PERIOD = 1e-3
+"""Tick of a rig without a controller, s."""
+
+
+class Model:
+    """A rig and where it stands.
+
+    `inputs`, `parameters`, `starts` and `outputs` say which variables there are;
+    `drive`, `values`, `rest` and `read` hold their values by name.
+    """
+
+    def __init__(self, spec: RigFile) -> None:
+        """From a rig file, as `load_rig` read it.
+
+        Raises:
+            InputError: the rig cannot be run, in one line.
+        """
+        self.spec, self.identifier = spec, identifier(spec.name)
+        self.valve = spec.layout != "driven-axis"
+        self.rig, self.period, P_a1 = _at_rest(spec)
+        self.queue = has_queue(self.rig)
+
+        known = _parameters(self.rig, self.valve)
+        self.inputs, self.outputs = _shown(INPUTS, spec), _shown(OUTPUTS, spec)
+        self.starts, self.parameters = _shown(STARTS, spec), _shown(known, spec)
+        self.drive = dict.fromkeys(INPUTS, 0.0) | spec.line
+        numbers = np.asarray(get(self.rig, list(known))).tolist()
+        self.values = dict(zip(known, numbers, strict=True))
+        P_a2 = P_a1 * float(self.rig.force_area_1 / self.rig.force_area_2)
+        self.rest = {"P_a1_start": P_a1, "P_a2_start": max(P_a2, spec.line["P_r"])}
+        self.read = dict.fromkeys(OUTPUTS, 0.0)
+        self._applied = dict(self.values)
+        self._state: Any = None
+        self._h: float | None = None
+
+    def begin(self) -> None:
+        """At rest where the piston is; the sensors read what is there."""
+        self._apply()
+        P_a1, P_a2 = self.rest.values()
+        pressures = (P_a1, P_a2) if self.valve else (0.0, self.drive["P"])
+        self._state, read = start(self.rig, self._drive(), *pressures)
+        self._keep(read)
+        self._h = None
+
+    def step(self, t: float, length: float) -> None:
+        """One communication step of `length` seconds from time `t`.
+
+        Raises:
+            InputError: ticks of another length than before, and the rig counts them.
+        """
+        self._apply()
+        count, h = ticks_of(length, self.period)
+        if self.queue and self._h and abs(h / self._h - 1) > SAME:
+            raise InputError(
+                f"{self.spec.name}: a step of {length:g} s makes ticks of {h:g} s, and "
+                f"the rig's delay counts in ticks of {self._h:g} s; keep to steps of "
+                "one length"
+            )
+        self._h = h
+        drive = self._drive()
+        self._state, read = advance(
+            self.rig, self._state, drive, t, h, count, self.valve
+        )
+        self._keep(read)
+
+    def _drive(self) -> Drive:
+        return Drive._make(self.drive[name] for name in Drive._fields)
+
+    def _apply(self) -> None:
+        """Put into the rig what was set since."""
+        if self.values != self._applied:
+            self.rig = put(
+                self.rig, tuple(self.values), np.array(list(self.values.values()))
+            )
+            self._applied = dict(self.values)
+
+    def _keep(self, read: dict[str, Any]) -> None:
+        self.read.update({name: float(value) for name, value in read.items()})
+
+
+def _shown(names: Names, spec: RigFile) -> Names:
+    """The variables that this layout has, in the unit that its command has."""
+
+    def text(words: str) -> str:
+        return units.with_command(words, spec.command_unit)
+
+    return {
+        name: (text(unit), text(description))
+        for name, (unit, description) in names.items()
+        if name not in WITHOUT[spec.layout]
+    }
+
+
+def _at_rest(spec: RigFile) -> tuple[Rig, float, float]:
+    """The rig, the length of a tick (s), and P_a1 at rest (Pa)."""
+    if spec.layout == "driven-axis":
+        return plant(spec), PERIOD, 0.0
+    loop = make_loop(spec)
+    return loop.rig, float(loop.h), float(loop.P_start)
+
+
+def _parameters(rig: Rig, valve: bool) -> Names:
+    """The rig's parameters; without a valve, those of friction and effects."""
+    drop = frozenset() if valve else hydraulic_names(rig) & set(BASE)
+    known = parameter_specs(rig).items()
+    return {name: (s.unit, meaning(s)) for name, s in known if name not in drop}

@@ -1,0 +1,1 @@
+"""Logs: from files of any accepted kind to SI arrays on common sample times."""

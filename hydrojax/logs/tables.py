@@ -1,0 +1,154 @@
+"""Files of columns: CSV, Parquet, MAT v5 and v7.3, each read as it stands."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pandas as pd
+import scipy.io
+
+from hydrojax.errors import InputError
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column as the file has it."""
+
+    label: str  # as the file has it, for messages
+    name: str
+    unit: str | None
+    values: Any
+
+
+@dataclass(frozen=True)
+class File:
+    """A file's columns, and how to speak of its rows."""
+
+    path: Path
+    columns: list[Column]
+    header: int  # lines before the first row, 0 if rows are not lines
+    notes: tuple[str, ...] = ()  # remarks on how it was read
+
+    def row(self, index: int) -> str:
+        """What a message calls the row: its number, and its line where it has one."""
+        line = f" (line {index + 1 + self.header})" if self.header else ""
+        return f"row {index + 1}{line}"
+
+
+def read_table(path: Path) -> File:
+    """Read a file of columns by what its name says it is.
+
+    Raises:
+        InputError: no such file, an unknown kind, or contents that are not that kind.
+    """
+    kinds = {
+        ".csv": ("CSV", _csv), ".csv.gz": ("gzipped CSV", _csv),
+        ".parquet": ("Parquet", _parquet), ".mat": ("MAT", _mat),
+    }  # fmt: skip
+    ending = next((e for e in kinds if path.name.lower().endswith(e)), None)
+    if ending is None:
+        raise InputError(
+            f"{path}: not a kind of log; save it as {', '.join(kinds)} or .mcap"
+        )
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; check the path")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty; export the log again")
+    kind, reader = kinds[ending]
+    try:
+        columns = reader(path)
+    except Exception as err:  # every library has its own kinds for a broken file
+        mend = f"export it again as {kind}"
+        raise unreadable(path, f"{kind} file", err, mend) from err
+    return File(path, columns, header=1 if reader is _csv else 0)
+
+
+def unreadable(path: Path, kind: str, error: Exception, mend: str) -> InputError:
+    """What to raise where a library cannot read a file of the kind."""
+    words = " ".join(str(error).replace(f" '{path}'", "").split())[:100]
+    return InputError(
+        f"{path}: not a readable {kind} ({words or type(error).__name__}); {mend}"
+    )
+
+
+def _labelled(label: object, values: Any) -> Column:
+    """A column called `name [unit]`."""
+    text = str(label).strip()
+    match = re.fullmatch(r"(.*?)\s*\[(.*)\]", text)
+    if match is None:
+        return Column(text, text, None, values)
+    return Column(text, match[1], match[2].strip() or None, values)
+
+
+def _csv(path: Path) -> list[Column]:
+    options: dict[str, Any] = {
+        "compression": "gzip" if path.name.lower().endswith(".gz") else None,
+        "encoding": "utf-8-sig",
+        "skipinitialspace": True,
+        "header": None,
+        "skip_blank_lines": False,  # so that rows can be counted in lines
+        "index_col": False,
+    }
+    labels = pd.read_csv(path, nrows=1, dtype=str, **options).iloc[0].fillna("")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)  # cells lost
+        frame = pd.read_csv(
+            path, skiprows=1, names=range(len(labels)), low_memory=False, **options
+        )
+    filled = np.flatnonzero(frame.notna().any(axis=1))
+    frame = frame.iloc[: filled[-1] + 1 if len(filled) else 0]
+    return [_labelled(label, frame[i]) for i, label in enumerate(labels)]
+
+
+def _parquet(path: Path) -> list[Column]:
+    import pyarrow as pa  # slow to import
+    from pyarrow import dataset
+
+    # Column by column, each let go as it is taken over, and given back to the system,
+    # which Arrow's own allocator puts off: long logs are large.
+    pool = pa.system_memory_pool()
+    table = dataset.dataset(path, format="parquet").to_table(memory_pool=pool)
+    frame = table.to_pandas(memory_pool=pool, split_blocks=True, self_destruct=True)
+    del table
+    if any(name is not None for name in frame.index.names):
+        frame = frame.reset_index()
+    return [_labelled(name, frame.iloc[:, i]) for i, name in enumerate(frame.columns)]
+
+
+def _mat(path: Path) -> list[Column]:
+    if h5py.is_hdf5(path):
+        with h5py.File(path, "r") as file:
+            tree = _from_hdf5(file)
+    else:
+        tree = scipy.io.loadmat(path, simplify_cells=True)
+        tree = {k: v for k, v in tree.items() if not k.startswith("__")}
+    inner = tree.pop("log", {})
+    tree |= inner if isinstance(inner, dict) else {"log": inner}
+    given = tree.pop("units", {})
+    said = {k: v for k, v in given.items() if isinstance(v, str)}
+    for name in list(tree):
+        if f"{name}_unit" in tree:
+            said[name] = str(tree.pop(f"{name}_unit"))
+    return [Column(k, k, said.get(k, "").strip() or None, v) for k, v in tree.items()]
+
+
+def _from_hdf5(group: h5py.Group) -> dict[str, Any]:
+    """A v7.3 file or struct as a dict; its text is uint16 arrays."""
+    tree = {}
+    for name, item in group.items():
+        if name.startswith("#"):  # MATLAB's store of cells
+            continue
+        if isinstance(item, h5py.Group):
+            tree[name] = _from_hdf5(item)
+        elif isinstance(item, h5py.Dataset):
+            value: Any = item[()]
+            if item.attrs.get("MATLAB_class") == b"char":
+                value = "".join(map(chr, np.ravel(value, order="F")))
+            tree[name] = value.decode() if isinstance(value, bytes) else value
+    return tree

@@ -1,0 +1,1 @@
+"""The paper's reference rig, its experiments and its figures."""

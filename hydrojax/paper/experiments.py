@@ -1,0 +1,320 @@
+"""The reference rig, and the paper's experiments on it: Figs. 2 to 5."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from importlib import resources
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import signal
+
+from hydrojax.control import theory
+from hydrojax.control.inputs import band_noise, to_and_fro
+from hydrojax.control.loop import Loop, Scenario, run
+from hydrojax.control.simulation import Path, hold, make_scenario, simulate
+from hydrojax.plant.rig import Rig
+from hydrojax.rigfile.build import load_rig, make_effects, make_rig
+from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.schema import RigFile
+
+SECONDS, STEADY = 20.0, 4.0
+"""Length of the runs of Figs. 2 to 4, and where their steady part begins, s."""
+
+FORCE, FORCE_HZ = 300.0, 0.5
+"""The desired force of Figs. 2 to 4: amplitude, N, and frequency, Hz."""
+
+SPEED, PERIOD = 0.03, 3.0
+"""The motion meanwhile: peak speed (the paper's 3 cm/s), m/s, and period, s."""
+
+NOISE_RMS, NOISE_BAND, SINE = 200.0, 50.0, 100.0
+"""The excitation of Fig. 5: noise, N RMS up to Hz, and each sine's amplitude, N."""
+
+HERTZ = (1, 2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30, 35, 40)
+"""Where single sines are tried in Fig. 5."""
+
+Gains = Mapping[str, object]
+
+FIXED: Gains = {"c_1": 0, "c_2": 0}
+NONE: Gains = {"k_cp": 0, "k_cn": 0}
+FIGURES: Mapping[str, Mapping[str, Gains]] = {
+    "fig2": {
+        "a": {"rho_a": 700},
+        "b": {"rho_a": 7},
+        "c": {"rho_a": 0, "A_a": 10},
+        "d": {"A_a": 0},
+    },
+    "fig3": {"a": {}, "b": {"c_1": 1, "c_2": 1}, "c": FIXED, "d": NONE},
+    "fig4": {
+        "a": {"k_0": 0},
+        "b": {"k_0": 0, "c_1": 1, "c_2": 1},
+        "c": {"k_0": 0, **FIXED},
+        "d": {"k_0": 0, **NONE},
+    },
+}
+"""The cases: what each changes in [controller]."""
+
+ABLATION: Gains = {
+    "k_p": 0, "k_f": 3.6, "k_1": 0, "rho_a": 0, "A_a": 10,
+    "k_cp": 0, "k_cn": 0, "k_0": 0, "k_vp": 0, "k_vn": 0, "k_fp": 0, "k_fn": 0,
+}  # fmt: skip
+"""Velocity feedforward and force error alone, at the same sum of gains: what is left of
+the law without its friction model."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """One case: what was asked for and what came, over time; SI. `rms` is steady."""
+
+    t: np.ndarray
+    desired: np.ndarray
+    actual: np.ndarray
+    rms: float
+
+
+@dataclass(frozen=True)
+class Response:
+    """|F/F_d| in dB by white noise, with its coherence, and by single sines.
+
+    `hertz` [n] are the sines' frequencies; `noise_hertz`, `noise_dB`, `coherence` [m]
+    the noise's. `alone_dB` [n] is of sines without the noise beneath them.
+    """
+
+    hertz: np.ndarray
+    sines_dB: np.ndarray
+    alone_dB: np.ndarray
+    noise_hertz: np.ndarray
+    noise_dB: np.ndarray
+    coherence: np.ndarray
+
+    def at(self, values: np.ndarray) -> np.ndarray:
+        """What the noise gave, at the sines' frequencies."""
+        return np.interp(self.hertz, self.noise_hertz, values)
+
+
+@dataclass(frozen=True)
+class Descent:
+    """W of (31) and its bound (35) over time at a matched plant."""
+
+    t: np.ndarray
+    W: np.ndarray
+    bound: np.ndarray
+
+
+@dataclass(frozen=True)
+class Experiments:
+    """All that `hydrojax paper` shows."""
+
+    tracks: dict[str, dict[str, Track]]
+    ablation: Track
+    response: Response
+    descent: dict[float, Descent]
+    supply: theory.Supply
+
+
+def reference() -> tuple[RigFile, Rig]:
+    """The reference rig's file and its plant: 200 Hz spool, 1 ms of computing."""
+    file = resources.files("hydrojax") / "paper" / "reference.toml"
+    with resources.as_file(file) as path:
+        spec = load_rig(path)
+    return spec, make_rig(spec, make_effects(spec.effects, spec, (-0.1, 0.1)))
+
+
+def _stack(loops: list[Loop]) -> Loop:
+    return jax.tree.map(lambda *a: jnp.stack(a), *loops)
+
+
+@eqx.filter_jit
+def _runs(loops: Loop, scenarios: Any, keep: tuple[str, ...]) -> jax.Array:
+    """Runs side by side, [lanes, N, len(keep)]: loops [lanes] on courses [lanes]."""
+    return jax.vmap(lambda loop, scenario: run(loop, scenario, keep))(loops, scenarios)
+
+
+def _repeat(tree: Any, count: int) -> Any:
+    return jax.tree.map(lambda a: jnp.repeat(a[None], count, axis=0), tree)
+
+
+def _scenario(
+    spec: RigFile, F_d: np.ndarray, path: Path, h: float, seed: int | None = None
+) -> Scenario:
+    """A course under the rig file's supply."""
+    P_s, P_r = spec.supply["P_s"], spec.supply["P_r"]
+    return make_scenario(F_d, path, h, P_s, P_r, seed=seed)
+
+
+def tracking() -> tuple[dict[str, dict[str, Track]], Track]:
+    """Figs. 2 to 4, and the ablation beside Fig. 3 (a)."""
+    spec, rig = reference()
+    h = 1e-3
+    t = np.arange(round(SECONDS / h)) * h
+    F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
+    scenario = _scenario(spec, F_d, to_and_fro(SPEED, PERIOD), h, seed=0)
+    cases = [(f, c, g) for f, own in FIGURES.items() for c, g in own.items()]
+    cases.append(("ablation", "", ABLATION))
+    loops = _stack([make_loop(spec, rig, gains) for *_, gains in cases])
+    out = np.asarray(
+        _runs(loops, _repeat(scenario, len(cases)), ("true_F", "P_d", "P"))
+    )
+    tracks: dict[str, dict[str, Track]] = {}
+    for (figure, case, _), table in zip(cases, out, strict=True):
+        F, P_d, P = table.T
+        desired, actual = (P_d, P) if figure == "fig2" else (F_d, F)
+        off = (desired - actual)[t >= STEADY]
+        track = Track(t, desired, actual, float(np.sqrt(np.mean(off**2))))
+        tracks.setdefault(figure, {})[case] = track
+    return tracks, tracks.pop("ablation")[""]
+
+
+def response(seconds: float = 60.0) -> Response:
+    """Fig. 5: the joint locked, white noise, and sines one by one.
+
+    As in the paper each sine is added to the noise, so that the adapted parameters are
+    those of the noise; sines alone leave them elsewhere.
+    """
+    spec, rig = reference()
+    loop = make_loop(spec, rig)
+    h = float(loop.h)
+    rng = np.random.default_rng(5)
+
+    def scenario(F_d: np.ndarray, seed: int) -> Scenario:
+        return _scenario(spec, F_d, hold(), h, seed)
+
+    n = round(seconds / h)
+    settled = slice(round(STEADY / h), None)
+    F_d = band_noise(rng, n, h, NOISE_RMS, NOISE_BAND)
+    one = _repeat(loop, 1), _repeat(scenario(F_d, 50), 1)
+    F = np.asarray(_runs(*one, ("F",)))[0, :, 0]
+    welch: dict[str, Any] = {"fs": 1 / h, "nperseg": round(1 / h)}
+    asked, came = F_d[settled], F[settled]
+    hertz, cross = signal.csd(asked, came, **welch)
+    gain = np.abs(cross / signal.welch(asked, **welch)[1])
+    coherence = signal.coherence(asked, came, **welch)[1]
+    keep = (hertz >= HERTZ[0]) & (hertz <= HERTZ[-1])
+
+    n = round((STEADY + 12.0) / h)
+    t = np.arange(n) * h
+    scenarios, wanted = [], []
+    for below in (NOISE_RMS, 0.0):
+        for i, f in enumerate(HERTZ):
+            size = SINE if below else np.sqrt(2) * NOISE_RMS
+            noise = band_noise(rng, n, h, below, NOISE_BAND) if below else 0.0
+            wanted.append(noise + size * np.sin(2 * np.pi * f * t))
+            scenarios.append(scenario(wanted[-1], 100 + i))
+    loops = _repeat(loop, len(scenarios))
+    F = np.asarray(_runs(loops, _stack(scenarios), ("F",)))[..., 0]
+    window = signal.get_window("hann", t[settled].size, fftbins=False)
+    dB = [
+        20 * np.log10(abs((y[settled] * window) @ e / ((x[settled] * window) @ e)))
+        for x, y, e in zip(
+            wanted,
+            F,
+            [np.exp(-2j * np.pi * f * t[settled]) for f in 2 * HERTZ],
+            strict=True,
+        )
+    ]
+    count = len(HERTZ)
+    return Response(
+        hertz=np.array(HERTZ, float),
+        sines_dB=np.array(dB[:count]),
+        alone_dB=np.array(dB[count:]),
+        noise_hertz=hertz[keep],
+        noise_dB=20 * np.log10(gain[keep]),
+        coherence=coherence[keep],
+    )
+
+
+def within(hertz: np.ndarray, dB: np.ndarray, most: float = 1.0) -> float:
+    """The frequency up to which |dB| stays within `most`, Hz, between points by line.
+
+    0 if the first point is outside, the last frequency if none is.
+    """
+    out = np.flatnonzero(np.abs(dB) > most)
+    if not out.size:
+        return float(hertz[-1])
+    i = int(out[0])
+    if i == 0:
+        return 0.0
+    a, b, most = dB[i - 1], dB[i], np.copysign(most, dB[i])
+    return float(hertz[i - 1] + (most - a) / (b - a) * (hertz[i] - hertz[i - 1]))
+
+
+def descent(
+    rates: tuple[float, ...] = (1000.0, 2000.0, 4000.0),
+) -> dict[float, Descent]:
+    """W along a run at a matched plant without noise, by sampling rate in Hz.
+
+    Matched: no spool, no computing delay, no encoder step, bounds that hold the truth.
+    """
+    spec, _ = reference()
+    spec = replace(spec, effects={}, sensors={})
+    out = {}
+    for rate in rates:
+        loop = make_loop(spec, None, {"rate": rate, "resolution": 0})
+        h = float(loop.h)
+        t = np.arange(round(6.0 / h)) * h
+        F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
+        scenario = _scenario(spec, F_d, to_and_fro(SPEED, PERIOD), h)
+        done = simulate(loop, scenario)
+        W, bound = theory.lyapunov(loop, done), theory.lyapunov_bound(loop, done)
+        out[rate] = Descent(t, W, bound)
+    return out
+
+
+def least_supply() -> theory.Supply:
+    """The supply condition (42) on the run of Fig. 3 (a)."""
+    spec, rig = reference()
+    loop = make_loop(spec, rig)
+    h = float(loop.h)
+    t = np.arange(round(8.0 / h)) * h
+    F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
+    scenario = _scenario(spec, F_d, to_and_fro(SPEED, PERIOD), h, seed=0)
+    return theory.supply(loop, scenario, simulate(loop, scenario))
+
+
+def experiments(progress: Callable[[str], None] = lambda _: None) -> Experiments:
+    """All of the paper's experiments; `tell` hears what is being done."""
+    progress("Figs. 2 to 4: tracking")
+    tracks, ablation = tracking()
+    progress("Fig. 5: white noise and sines")
+    shown = response()
+    progress("Lyapunov function (31)")
+    falls = descent()
+    progress("supply condition (42)")
+    return Experiments(tracks, ablation, shown, falls, least_supply())
+
+
+def json_of(found: Experiments) -> dict[str, Any]:
+    """The content of paper.json: N, Hz, dB, Pa."""
+    r = found.response
+    rms = {
+        figure: {case: track.rms for case, track in cases.items()}
+        for figure, cases in found.tracks.items()
+    }
+    rises = {rate: theory.largest_rise(d.W) for rate, d in found.descent.items()}
+    return {
+        **rms,
+        "fig5": {
+            "within_1dB_to_Hz_noise": within(r.noise_hertz, r.noise_dB),
+            "within_1dB_to_Hz_sines": within(r.hertz, r.sines_dB),
+            "within_1dB_to_Hz_sines_alone": within(r.hertz, r.alone_dB),
+            "frequency_Hz": r.hertz.tolist(),
+            "gain_dB_noise": r.at(r.noise_dB).tolist(),
+            "gain_dB_sines": r.sines_dB.tolist(),
+            "gain_dB_sines_alone": r.alone_dB.tolist(),
+            "coherence": r.at(r.coherence).tolist(),
+        },
+        "lyapunov": {
+            "largest_rise": rises[min(rises)],
+            "rate_Hz": list(rises),
+            "largest_rise_at_rate": list(rises.values()),
+        },
+        "supply": {
+            "least_P_s_Pa": found.supply.least,
+            "condition_42_Pa": found.supply.condition,
+        },
+        "ablation": {"full_law_rms_N": rms["fig3"]["a"], "rms_N": found.ablation.rms},
+    }

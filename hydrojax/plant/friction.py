@@ -1,0 +1,169 @@
+"""Piston friction with presliding, and the output force: (1)-(7), (22)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hydrojax.parameters import param
+
+
+class Sliding(NamedTuple):
+    """What friction sees at one instant; SI, every field of one shape.
+
+    `v` is the piston's velocity, `z` the bristle's deflection (m), `z_rate` its rate,
+    `speed` the filtered speed of L(t) (m/s), `t` the time since the log began. `lag` is
+    the speed of an oil film that comes late, less `abs(v)` (m/s).
+    """
+
+    t: Array
+    x: Array
+    v: Array
+    a: Array
+    z: Array
+    z_rate: Array
+    speed: Array
+    P_a1: Array
+    P_a2: Array
+    P_s: Array
+    lag: Array | float = 0.0
+
+
+class Theta(NamedTuple):
+    """One value for each of theta_f (27), in the paper's order."""
+
+    k_cp: Array
+    k_cn: Array
+    k_0: Array
+    k_vp: Array
+    k_vn: Array
+    k_fp: Array
+    k_fn: Array
+
+
+class Friction(eqx.Module):
+    """Coulomb, Stribeck, offset and presliding friction of one piston."""
+
+    k_cp: Array = param("N", 0.0, 0.0, 1e5, "Coulomb level, v > 0", size=500.0)
+    k_cn: Array = param("N", 0.0, 0.0, 1e5, "Coulomb level, v < 0", size=500.0)
+    k_0: Array = param("N", 0.0, -1e4, 1e4, "constant offset", size=100.0)
+    k_vp: Array = param("N*s/m", 0.0, -1e6, 1e6, "fall with speed, v > 0", size=2e3)
+    k_vn: Array = param("N*s/m", 0.0, -1e6, 1e6, "fall with speed, v < 0", size=2e3)
+    k_fp: Array = param("1", 0.0, 0.0, 10.0, "presliding, F > 0", size=0.5)
+    k_fn: Array = param("1", 0.0, 0.0, 10.0, "presliding, F < 0", size=0.5)
+    z_ss: Array = param("m", 60e-6, 1e-7, 5e-3, "bristle deflection when sliding")
+    delta: Array = param("1/N", 1 / 900, 1e-6, 10.0, "saturation of presliding in F")
+    L_slope: Array = param("s/m", 300.0, 1.0, 1e6, "slope of the switch L(t)")
+    L_rate: Array = param("1/s", 10.0, 0.1, 1e3, "rate of the filtered speed")
+
+    def bristle_map(self, dx: Array) -> tuple[Array, Array]:
+        """The bristle's step (4) over a displacement `dx` as `z -> keep z + add`.
+
+        Exact while v keeps its sign: the bristle depends on displacement, not time.
+        """
+        keep = jnp.exp(-jnp.abs(dx) / self.z_ss)
+        return keep, jnp.sign(dx) * self.z_ss * (1 - keep)
+
+    def speed_map(self, dx: Array, h: Array) -> tuple[Array, Array]:
+        """The filtered speed's step over `h` seconds as `w -> keep w + add`."""
+        keep = jnp.exp(-self.L_rate * h)
+        return keep, (1 - keep) * jnp.abs(dx) / h
+
+    def z_rate(self, z: Array, v: Array) -> Array:
+        """Rate of the bristle's deflection (4), m/s."""
+        return v - jnp.abs(v) / self.z_ss * z
+
+    def switch(self, speed: Array) -> Array:
+        """L(t): 1 in presliding, 0 in sliding; `speed` is the filtered |v|."""
+        return 1 / (1 + (self.L_slope * speed) ** 3)
+
+    def sliding_force(self, at: Sliding, levels: tuple = (), adds: tuple = ()) -> Array:
+        """f_c of (3) with phi = -1, N.
+
+        `levels` are effects that add to the Coulomb level, `adds` effects that add
+        a friction force. Where an oil film comes late, levels see its speed, and
+        forces a velocity whose lag has the bristle's sign: it turns with the friction.
+        """
+        up = at.z > 0
+        # In sliding z is z_ss to the last place: a clip just there would cut the
+        # derivative by rounding.
+        turn = jnp.clip(at.z / self.z_ss, -1 - 1e-13, 1 + 1e-13)
+        film = at._replace(v=at.v + jnp.where(at.v < 0, -1.0, 1.0) * at.lag)
+        level = jnp.where(up, self.k_cp, self.k_cn)
+        level = level + sum(e.level(film, level) for e in levels)
+        film = at._replace(v=at.v + turn * at.lag)
+        fall = jnp.where(film.v > 0, self.k_vp, self.k_vn) * film.v
+        return turn * level + self.k_0 - fall + sum(e.force(film) for e in adds)
+
+    def regressor(self, z: Array, v: Array, speed: Array, F: Array) -> Theta:
+        """The row of (26): what each of theta_f is multiplied with in f_f.
+
+        With the output force itself as `F`, `f_f` of (7) is this times theta_f; the
+        adaptive law puts the desired force in its place.
+        """
+        L = self.switch(speed)
+        slide = 1 - L
+        g = jnp.clip(z / self.z_ss, -1.0, 1.0)
+        stick = L * F / (1 + self.delta * jnp.abs(F))
+        return Theta(
+            k_cp=slide * jnp.where(z > 0, g, 0.0),
+            k_cn=slide * jnp.where(z > 0, 0.0, g),
+            k_0=slide,
+            k_vp=-slide * jnp.where(v > 0, v, 0.0),
+            k_vn=-slide * jnp.where(v > 0, 0.0, v),
+            k_fp=jnp.where(F > 0, stick, 0.0),
+            k_fn=jnp.where(F > 0, 0.0, stick),
+        )
+
+    def output_force(self, P: Array, f_c: Array, L: Array) -> Array:
+        """F of (22) with (5)-(7): the admissible root of a quadratic, N.
+
+        `F + L k_f F / (1 + delta |F|) = P - (1 - L) f_c`, and F has the sign of the
+        right-hand side.
+        """
+        drive = P - (1 - L) * f_c
+        size = jnp.abs(drive)
+        k = L * jnp.where(drive > 0, self.k_fp, self.k_fn)
+        b = 1 + k - self.delta * size
+        disc = jnp.sqrt(b * b + 4 * self.delta * size)
+        # The two forms of one root: each is free of cancellation where it is used.
+        root = jnp.where(b > 0, 2 * size / (b + disc), (disc - b) / (2 * self.delta))
+        return jnp.where(drive < 0, -root, root)
+
+
+def run_linear(keep: Array, add: Array, start: Array) -> Array:
+    """All states of `s -> keep s + add` along the last axis, from `start`.
+
+    Shapes: `keep`, `add` [..., n], `start` [...]; returns [..., n], the state after
+    each step. The steps are cut into about sqrt(n) blocks that run side by side: each
+    block is itself a map `s -> keep s + add`, and the blocks are chained last.
+    """
+    n = keep.shape[-1]
+    size = max(1, int(n**0.5))
+    blocks = -(-n // size)
+    pad = [(0, 0)] * (keep.ndim - 1) + [(0, blocks * size - n)]
+
+    def cut(a, fill):
+        a = jnp.pad(a, pad, constant_values=fill)
+        return jnp.moveaxis(a.reshape(*a.shape[:-1], blocks, size), -1, 0)
+
+    def within(state, step):
+        product, total = state
+        product, total = product * step[0], total * step[0] + step[1]
+        return (product, total), (product, total)
+
+    def across(state, block):
+        return block[0] * state + block[1], state
+
+    steps = (cut(keep, 1.0), cut(add, 0.0))
+    one = jnp.ones_like(steps[0][0])
+    ends, (product, total) = jax.lax.scan(within, (one, one * 0), steps)
+    ends = jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), ends)
+    _, entry = jax.lax.scan(across, start, ends)
+    states = product * jnp.moveaxis(entry, 0, -1) + total
+    states = jnp.moveaxis(states, 0, -1).reshape(*keep.shape[:-1], blocks * size)
+    return states[..., :n]

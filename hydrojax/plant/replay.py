@@ -1,0 +1,192 @@
+"""A log drives the plant: the pieces of the one step, run in windows.
+
+Motion is known in a replay and the piston is massless, so nothing feeds back from
+force to pressure. The step's pieces are therefore run one after the other: bristle and
+filtered speed once over each whole segment (in parallel, they are linear in their
+state); the command and the pressures in windows, each from its own initial pressures;
+force and sensors last. `Rig.step` scanned over the same log gives the same signals.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hydrojax.plant import rod
+from hydrojax.plant.friction import Sliding, run_linear
+from hydrojax.plant.rig import Rig, StepInput
+
+
+class Motion(NamedTuple):
+    """Motion of S segments of N ticks, padded at the end with standstill; SI.
+
+    `dx` [S, N-1, 4] displacement over each quarter of a tick; `h` [S, N-1] its length;
+    `speed0` [S] the filtered speed to start from; `v` [S, N] the velocity at the ticks;
+    `F` [S, N] the output force there, smoothed if it was measured, for what it
+    stretches.
+    """
+
+    dx: Array
+    h: Array
+    speed0: Array
+    v: Array
+    F: Array
+
+
+class Windows(NamedTuple):
+    """W windows of `lead + T` ticks, cut from S segments; SI.
+
+    The first `lead` ticks let memories settle and are not compared. `before` [W, pre]
+    is the command that precedes, `before_h` its tick lengths. `u`, `h`, `P_s`, `P_r`,
+    `t`, `x`, `v`, `a`, `F`, `P_a1`, `P_a2` are [W, lead+T], at the ticks; `h` is the
+    tick that follows, `F` that of `Motion`. `x_fine` is [W, lead+T-1, 2n+1], `measured`
+    [W, T, 3] (P_a1, P_a2, F), `seg` and `first` say where each window lies in its
+    segment.
+    """
+
+    seg: Array
+    first: Array
+    before: Array
+    before_h: Array
+    u: Array
+    h: Array
+    P_s: Array
+    P_r: Array
+    t: Array
+    x: Array
+    v: Array
+    a: Array
+    F: Array
+    x_fine: Array
+    P_a1: Array
+    P_a2: Array
+    measured: Array
+
+    @property
+    def scored(self) -> int:
+        """Ticks of each window that are compared."""
+        return self.measured.shape[1]
+
+
+class Past(NamedTuple):
+    """What friction sees of the motion up to every tick, [S, N] each; SI.
+
+    `z` the bristle's deflection, `v` the piston's velocity; `speed` as in `State`.
+    """
+
+    z: Array
+    speed: Array
+    v: Array
+
+    def within(self, w: Windows) -> Past:
+        """The same at the windows' ticks, [W, lead+T] each."""
+        index = w.first[:, None] + jnp.arange(w.x.shape[1])
+        return Past(*(a[w.seg[:, None], index] for a in self))
+
+
+def friction_memory(rig: Rig, motion: Motion) -> Past:
+    """Bristle, filtered speed and films over whole segments: once for all windows."""
+    s, n, quarters = motion.dx.shape
+    dx, v = motion.dx, motion.v
+    if rig.stretch:
+        F = jnp.stack([motion.F[:, :-1], motion.F[:, 1:]], axis=-1)
+        dx = dx + jnp.diff(rod.ahead(rig.stretch, rod.along(F, quarters)), axis=-1)
+        F_rate = rod.rate(motion.F, motion.h)
+        v = v + rod.ahead_rate(rig.stretch, motion.F, F_rate)
+    dx = dx.reshape(s, n * quarters)
+    h = jnp.repeat(motion.h / quarters, quarters, axis=1)
+    z_0, w_0 = jnp.zeros(s), motion.speed0
+
+    def at_ticks(start, keep, add, every=quarters):
+        scenario = run_linear(keep, add, start)[:, every - 1 :: every]
+        return jnp.concatenate([start[:, None], scenario], axis=1)
+
+    z = at_ticks(z_0, *rig.mechanics.bristle_map(dx))
+    speed = at_ticks(w_0, *rig.mechanics.speed_map(dx, h))
+    if rig.velocity:
+        now = jnp.abs(v)
+        films = (
+            at_ticks(now[:, 0], *e.follow(now[:, :-1], now[:, 1:], motion.h), every=1)
+            for e in rig.velocity
+        )
+        speed = jnp.stack([speed, now, *films], axis=-1)
+    return Past(z, speed, v)
+
+
+def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
+    """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa."""
+
+    def warm(memory, tick):
+        return rig.command_step(memory, *tick)[0], None
+
+    def advance(carry, tick):
+        memory, P = carry
+        memory, opening = rig.command_step(memory, tick.u, tick.h)
+        P = rig.pressure_step(P, opening, tick)
+        return (memory, P), P
+
+    memory = rig.command_init(w.before[:, 0])
+    memory, _ = jax.lax.scan(warm, memory, (w.before.T, w.before_h.T))
+
+    def ends(p):
+        return jnp.stack([p[:, :-1], p[:, 1:]], axis=-1)
+
+    ticks = StepInput(
+        h=w.h[:, :-1],
+        u=w.u[:, :-1],
+        P_s=ends(w.P_s),
+        P_r=ends(w.P_r),
+        x=w.x_fine,
+        dx=w.x_fine[..., :0],
+        v=w.v[:, 1:],
+        a=w.a[:, 1:],
+        t=w.t[:, 1:],
+        F=ends(w.F) if rig.stretch else None,
+    )
+    ticks = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), ticks)
+    start = (P_0[:, 0], P_0[:, 1])
+    _, (P_a1, P_a2) = jax.lax.scan(advance, (memory, start), ticks)
+    return (
+        jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
+        jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),
+    )
+
+
+def _sense(channels: tuple, y: Array, h: Array) -> Array:
+    """A sensor's reading of `y` [W, n] along its second axis."""
+    slope = (y[:, 1] - y[:, 0]) / h[:, 0]
+    for channel in channels:
+        y, slope = channel.scenario(y, slope, h[:, :-1])
+    return y
+
+
+def forces(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, past: Past) -> Array:
+    """The output force at every tick, before the load cell, [W, lead+T], N.
+
+    Each tick's is its own affair: `P_a1`, `P_a2` [W, lead+T] from `pressures` or the
+    log, `past` at the windows.
+    """
+    z, speed, v = past
+    rate = rig.mechanics.z_rate(z, v)
+    speed, lag = rig.films(speed)
+    at = Sliding(w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s, lag)
+    return rig.output_force(at)
+
+
+def sensed(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, F: Array) -> Array:
+    """What the sensors read of signals [W, lead+T], [W, T, 3]; linear in them."""
+    lead = w.x.shape[1] - w.scored
+    y = [
+        _sense(rig.gauge(0), P_a1, w.h),
+        _sense(rig.gauge(1), P_a2, w.h),
+        _sense(rig.sensor_F, F, w.h),
+    ]
+    return jnp.stack([c[:, lead:] for c in y], axis=-1)
+
+
+def readings(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, past: Past) -> Array:
+    """What the sensors read, [W, T, 3] (P_a1, P_a2 in Pa, F in N); see `forces`."""
+    return sensed(rig, w, P_a1, P_a2, forces(rig, w, P_a1, P_a2, past))

@@ -1,0 +1,323 @@
+"""A rig: one pytree of plant, signal paths and effects, and its one step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hydrojax.parameters import Effect
+from hydrojax.plant import rod
+from hydrojax.plant.chambers import Chambers, Lands, Point, sides
+from hydrojax.plant.friction import Friction, Sliding
+from hydrojax.plant.state import State, StepInput
+
+PLACES = (
+    "command",
+    "orifice",
+    "supply",
+    "flow",
+    "volume",
+    "compliance",
+    "stretch",
+    "velocity",
+    "level",
+    "friction",
+    "force",
+    "sensor_P",
+    "sensor_F",
+)
+"""Where an effect can act, in the order of the signal path."""
+
+
+HYDRAULIC = (
+    "lands", "chambers", "command", "orifice", "supply", "flow", "volume",
+    "compliance", "stretch",
+)  # fmt: skip
+"""The parts of a rig on which the pressures depend."""
+
+
+PARTS = 4
+"""Parts of a tick over which the command's path is run: within one, the spool's mean
+opening stands for its course."""
+
+
+class Rig(eqx.Module):
+    """The plant of the paper, with what it lacks added as values.
+
+    `force_area_1` and `_2` turn pressures into drive force (16); they differ from the
+    chambers' areas only where a chamber is open (`single`).
+    """
+
+    lands: Lands
+    chambers: Chambers
+    mechanics: Friction
+    force_area_1: Array
+    force_area_2: Array
+    command: tuple = ()
+    orifice: tuple = ()
+    supply: tuple = ()
+    flow: tuple = ()
+    volume: tuple = ()
+    compliance: tuple = ()
+    stretch: tuple = ()
+    velocity: tuple = ()
+    level: tuple = ()
+    friction: tuple = ()
+    force: tuple = ()
+    sensor_P: tuple = ()
+    sensor_F: tuple = ()
+
+    # -- the pieces of the step, each elementwise over any leading axes --
+
+    def command_init(self, u: Array) -> tuple:
+        """Memories of the command's path at rest under `u`."""
+        return tuple(c.init(u) for c in self.command)
+
+    def command_parts(
+        self, memory: tuple, u: Array, h: Array, parts: int = PARTS
+    ) -> tuple[tuple, list[Array]]:
+        """The command's way to the spool over one tick, cut into `parts`.
+
+        Returns the memories and the spool's mean opening over each part.
+        """
+        openings, out = [u] * parts, []
+        for channel, m in zip(self.command, memory, strict=True):
+            m, openings = channel.parts(m, openings, h / parts)
+            out.append(m)
+        return tuple(out), openings
+
+    def command_step(
+        self, memory: tuple, u: Array, h: Array
+    ) -> tuple[tuple, tuple[Array, ...]]:
+        """The same over a whole tick.
+
+        Returns the memories and the opening over the tick, as `Point` has it.
+        """
+        if not self.command:
+            return (), (u,)
+        memory, openings = self.command_parts(memory, u, h)
+        open_p, open_n = sides(openings[0])
+        for spool in openings[1:]:
+            p, n = sides(spool)
+            open_p, open_n = open_p + p, open_n + n
+        return memory, (open_p / PARTS, open_n / PARTS)
+
+    def pressure_rates(self, at: Point) -> tuple[Array, Array]:
+        """Rates of both chamber pressures, Pa/s; (12)-(15)."""
+        q_1, q_2 = self.lands.flows(at, self.supply, self.orifice)
+        for effect in self.flow:
+            e_1, e_2 = effect.flow(at)
+            q_1, q_2 = q_1 + e_1, q_2 + e_2
+        return self.chambers.rates(at, q_1, q_2, self.compliance, self.volume)
+
+    def pressure_step(
+        self, P: tuple[Array, Array], opening: tuple[Array, ...], tick: StepInput
+    ) -> tuple[Array, Array]:
+        """Both pressures over one tick, by the midpoint rule in n substeps.
+
+        Each substep moves the piston by its exact displacement, so what is left of
+        the error is the pressures' own, of second order.
+        """
+        n = (tick.x.shape[-1] - 1) // 2
+        h, x = tick.h / n, rod.place(self, tick)
+
+        def rates(P, k, v):
+            part = k / (2 * n)
+            p_s, p_r = (
+                p[..., 0] + part * (p[..., 1] - p[..., 0]) for p in (tick.P_s, tick.P_r)
+            )
+            return self.pressure_rates(
+                Point(P[0], P[1], p_s, p_r, opening, x=x[..., k], v=v)
+            )
+
+        for i in range(n):
+            v = (x[..., 2 * i + 2] - x[..., 2 * i]) / h
+            first = rates(P, 2 * i, v)
+            middle = tuple(p + h / 2 * r for p, r in zip(P, first, strict=True))
+            second = rates(middle, 2 * i + 1, v)
+            P = (P[0] + h * second[0], P[1] + h * second[1])
+        return P
+
+    def drive_force(self, P_a1: Array, P_a2: Array) -> Array:
+        """Net drive force P, N; (16) with two areas."""
+        return self.force_area_2 * P_a2 - self.force_area_1 * P_a1
+
+    def output_force(self, at: Sliding) -> Array:
+        """F at the load cell, before the sensor, N; (22) and the added forces."""
+        f_c = self.mechanics.sliding_force(at, self.level, self.friction)
+        P = self.drive_force(at.P_a1, at.P_a2)
+        F = self.mechanics.output_force(P, f_c, self.mechanics.switch(at.speed))
+        return F + sum(e.force(at) for e in self.force)
+
+    # -- the one step --
+
+    def init(self, u: Array, P_a1: Array, P_a2: Array, x: Array) -> State:
+        """At rest at `x` under the command `u`, with pressures `P_a1`, `P_a2`."""
+        rest = jnp.zeros_like(P_a1)
+        at = Sliding(rest, x, rest, rest, rest, rest, rest, P_a1, P_a2, P_a1 + 1.0)
+        F = self.output_force(at)
+        gauges = tuple(
+            self.sense_init(self.gauge(i), p, rest)[0]
+            for i, p in enumerate((P_a1, P_a2))
+        )
+        cell, _ = self.sense_init(self.sensor_F, F, rest)
+        films = (len(self.velocity) + 2,) if self.velocity else ()
+        speed = jnp.zeros((*rest.shape, *films), rest.dtype)
+        held = (F,) if self.stretch else ()
+        memory = self.command_init(u)
+        return State(memory, (P_a1, P_a2), rest, speed, gauges, cell, held)
+
+    def step(self, state: State, tick: StepInput) -> tuple[State, dict[str, Array]]:
+        """Act over one tick, then sense at its end.
+
+        Returns the new state and what the sensors read, `P_a1 P_a2 F` in SI.
+        """
+        command, opening = self.command_step(state.command, tick.u, tick.h)
+        if tick.F is None:  # none was logged: nothing stretches
+            tick = tick._replace(F=jnp.zeros_like(tick.P_s), F_rate=0 * tick.v)
+        state = self.act(state._replace(command=command), opening, tick)
+        F = self.output_force(self.sliding(state, tick))
+        return self.read(state, F, tick.h)
+
+    def act(self, state: State, opening: tuple[Array, ...], tick: StepInput) -> State:
+        """Pressures, bristle and filtered speed after a tick under `opening`."""
+        if self.stretch and tick.F is None:
+            F = rod.force(self, state, opening, tick)
+            tick = tick._replace(F=jnp.stack([state.rod[0], F], axis=-1))
+            state = state._replace(rod=(F,))
+        P = self.pressure_step(state.P, opening, tick)
+        return self.slide(state, tick)._replace(P=P)
+
+    def slide(self, state: State, tick: StepInput) -> State:
+        """Bristle, filtered speed and films after the piston's motion over a tick."""
+        dx = rod.moves(self, tick)
+        h = tick.h / dx.shape[-1]
+        z, speed = state.z, state.speed[..., 0] if self.velocity else state.speed
+        for i in range(dx.shape[-1]):
+            keep, add = self.mechanics.bristle_map(dx[..., i])
+            z = keep * z + add
+            keep, add = self.mechanics.speed_map(dx[..., i], h)
+            speed = keep * speed + add
+        if self.velocity:
+            now = jnp.abs(rod.velocity(self, tick))
+            films = [now]
+            for i, effect in enumerate(self.velocity):
+                keep, add = effect.follow(state.speed[..., 1], now, tick.h)
+                films.append(keep * state.speed[..., 2 + i] + add)
+            speed = jnp.stack([speed, *films], axis=-1)
+        return state._replace(z=z, speed=speed)
+
+    def films(self, speed: Array) -> tuple[Array, Array | float]:
+        """The filtered speed, and by how much the films' speed differs from `abs(v)`.
+
+        `speed` as in `State`.
+        """
+        if not self.velocity:
+            return speed, 0.0
+        return speed[..., 0], jnp.sum(speed[..., 2:] - speed[..., 1:2], axis=-1)
+
+    def sliding(self, state: State, tick: StepInput) -> Sliding:
+        """What friction sees at the end of a tick."""
+        v = rod.velocity(self, tick)
+        speed, lag = self.films(state.speed)
+        return Sliding(
+            t=tick.t,
+            x=tick.x[..., -1],
+            v=v,
+            a=tick.a,
+            z=state.z,
+            z_rate=self.mechanics.z_rate(state.z, v),
+            speed=speed,
+            P_a1=state.P[0],
+            P_a2=state.P[1],
+            P_s=tick.P_s[..., 1],
+            lag=lag,
+        )
+
+    def read(self, state: State, F: Array, h: Array) -> tuple[State, dict[str, Array]]:
+        """What the sensors say at the end of a tick of length `h`."""
+        m_1, P_a1 = self.sense(self.gauge(0), state.sensor_P[0], state.P[0], h)
+        m_2, P_a2 = self.sense(self.gauge(1), state.sensor_P[1], state.P[1], h)
+        m_F, cell = self.sense(self.sensor_F, state.sensor_F, F, h)
+        state = state._replace(sensor_P=(m_1, m_2), sensor_F=m_F)
+        return state, {"P_a1": P_a1, "P_a2": P_a2, "F": cell}
+
+    def gauge(self, i: int) -> tuple:
+        """The channels on the pressure sensor of chamber 1 (`i` = 0) or 2."""
+        return tuple(c.of_chamber(i) for c in self.sensor_P)
+
+    def sense_init(
+        self, channels: tuple, y: Array, slope: Array
+    ) -> tuple[tuple, Array]:
+        """Memories and reading of a sensor whose signal has run along a line."""
+        memories = []
+        for channel in channels:
+            memory, y, slope = channel.init(y, slope)
+            memories.append(memory)
+        return tuple(memories), y
+
+    def sense(self, channels: tuple, memory: tuple, y: Array, h: Array):
+        """One sensor over one tick at whose end the signal is `y`."""
+        out = []
+        for channel, m in zip(channels, memory, strict=True):
+            m, y = channel.step(m, y, h)
+            out.append(m)
+        return tuple(out), y
+
+
+def add(rig: Rig, effects: Iterable[Effect]) -> Rig:
+    """The rig with effects added, each at its own place, in the order given."""
+    places: dict[str, list] = {place: list(getattr(rig, place)) for place in PLACES}
+    for effect in effects:
+        places[effect.place].append(effect)
+    new = {place: tuple(e) for place, e in places.items()}
+    return eqx.tree_at(
+        lambda r: [getattr(r, place) for place in PLACES],
+        rig,
+        [new[place] for place in PLACES],
+        is_leaf=lambda x: isinstance(x, tuple),
+    )
+
+
+def bare_rig(
+    layout: str, geometry: Mapping[str, float] | None = None, **parts: Any
+) -> Rig:
+    """A rig without effects, at the default parameters.
+
+    Args:
+        layout: `pull-pull`, `differential`, `single` or `driven-axis`.
+        geometry: `area` or `area_1`, `area_2` (m^2), `chamber_length` (m).
+        parts: `lands`, `chambers` fields and `mechanics` to replace defaults.
+
+    Raises:
+        KeyError: an area that the layout needs is not there.
+        ValueError: an unknown layout.
+    """
+    g = dict(geometry or {})
+    if layout == "pull-pull":
+        areas, acts = (g["area"], g["area"]), (g["area"], g["area"])
+    elif layout == "differential":
+        areas = acts = (g["area_1"], g["area_2"])
+    elif layout == "single":
+        # Chamber 1 is open: it holds fluid at no pressure and pushes nothing.
+        areas, acts = (g["area"], g["area"]), (0.0, g["area"])
+    elif layout == "driven-axis":
+        # The drive force itself: a pressure of P/(1 m^2) on one square metre.
+        areas, acts = (1.0, 1.0), (0.0, 1.0)
+    else:
+        raise ValueError(f"unknown layout {layout!r}")
+    length = g.get("chamber_length", 1.0)
+    chambers = Chambers(
+        *(jnp.asarray(a, float) for a in (*areas, length)),
+    )
+    return Rig(
+        lands=Lands(),
+        chambers=chambers,
+        mechanics=Friction(),
+        force_area_1=jnp.asarray(acts[0], float),
+        force_area_2=jnp.asarray(acts[1], float),
+    )

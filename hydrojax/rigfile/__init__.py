@@ -1,0 +1,1 @@
+"""Rig files: read, checked, edited, and built into rigs and loops."""

@@ -1,0 +1,127 @@
+"""A rig file with new values in it: comments, order and all else as they were."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import tomlkit
+from tomlkit.items import InlineTable, Table
+
+from hydrojax import units
+from hydrojax.effects import EFFECTS
+from hydrojax.parameters import Spec, specs
+from hydrojax.rigfile.schema import RigFile
+
+Values = Mapping[str, float]
+
+
+def rewrite(
+    spec: RigFile,
+    values: Values,
+    added: Sequence[str] = (),
+    controller: Mapping[str, object] | None = None,
+    name: str = "",
+    travel: tuple[float, float] | None = None,
+) -> str:
+    """The text of a rig file in which some values are replaced.
+
+    A parameter that has a range keeps it, so that the file can be fitted again; where
+    the new value lies outside, the range is widened to hold it.
+
+    Args:
+        spec: the file, as `load_rig` read it.
+        values: by name (`beta`, `valve_lag.tau`), SI; those the file gives are
+            replaced, and those of effects in `added` are written with their ranges.
+        added: effects that the file does not declare.
+        controller: keys of [controller] to set, as a rig file writes them.
+        name: a new name for the rig, if any.
+        travel: range of x (m) over which profiles are laid; written where an effect has
+            one and the file does not say.
+    """
+    document = tomlkit.parse(Path(spec.path).read_text(encoding="utf-8-sig"))
+    if name:
+        document["name"] = name
+    for section, fields, known in _tables(document, spec):
+        prefix = f"{section}." if section else ""
+        for key in list(fields):
+            field, turned = _field(key, known)
+            old = (spec.effects[section] if section else spec.parameters)[field]
+            value = values.get(prefix + field, old.start)
+            # What did not change stays as it was written.
+            if value != old.start and not (turned and value == 0):
+                _set(fields, key, value, known[field], turned, spec.command_unit)
+    if added:
+        effects = document.setdefault("effects", tomlkit.table(is_super_table=True))
+        for effect in added:
+            effects[effect] = _effect(effect, values, spec.command_unit)
+    laid = [EFFECTS[e].__dataclass_fields__ for e in (*spec.effects, *added)]
+    if travel and any("x_from" in fields for fields in laid):
+        geometry = document.setdefault("geometry", tomlkit.table())
+        for key, end in zip(("x_from", "x_to"), travel, strict=True):
+            geometry.setdefault(key, text(end, "m"))
+    if controller:
+        table = document.setdefault("controller", tomlkit.table())
+        for key, value in controller.items():
+            table[key] = value
+    return tomlkit.dumps(document)
+
+
+def _tables(document, spec: RigFile):
+    """(effect or "", its table, what is known of its parameters) of a document."""
+    from hydrojax.rigfile.build import BASE
+
+    if "parameters" in document:
+        yield "", document["parameters"], BASE
+    for effect in spec.effects:
+        yield effect, document["effects"][effect], specs(EFFECTS[effect])
+
+
+def _field(key: str, known: Mapping[str, Spec]) -> tuple[str, bool]:
+    """A key's field, and whether the file gives its reciprocal."""
+    for field, s in known.items():
+        if s.outside and s.outside[0] == key and key not in known:
+            return field, True
+    return key, False
+
+
+def text(value: float, unit: str) -> str:
+    """A quantity as a rig file has it: six figures and the unit."""
+    return f"{value:.6g}" if unit == "1" else f"{value:.6g} {unit}"
+
+
+def _shown(s: Spec, turned: bool, command: str) -> str:
+    unit = s.outside[1] if turned and s.outside else s.unit
+    return units.with_command(unit, command)
+
+
+def _set(
+    fields: Table, key: str, value: float, s: Spec, turned: bool, command: str
+) -> None:
+    unit = _shown(s, turned, command)
+    shown = 1 / value if turned else value
+    old = fields[key]
+    if not isinstance(old, (dict, Table, InlineTable)):
+        fields[key] = text(shown, unit)
+        return
+    old["start"] = text(shown, unit)
+    shown = units.quantity(old["start"], unit, key)  # as it will be read
+    ends = [units.quantity(end, unit, key) for end in old["range"]]
+    if not ends[0] <= shown <= ends[1]:
+        old["range"] = [
+            text(end, unit) for end in (min(ends[0], shown), max(ends[1], shown))
+        ]
+
+
+def _effect(name: str, values: Values, command: str) -> Table:
+    """A table of an effect: each parameter with the range its declaration gives."""
+    table = tomlkit.table()
+    for field, s in specs(EFFECTS[name]).items():
+        value = values.get(f"{name}.{field}", s.default)
+        entry = tomlkit.inline_table()
+        unit = _shown(s, False, command)
+        entry["start"] = text(min(max(value, s.lower), s.upper), unit)
+        entry["range"] = [text(end, unit) for end in (s.lower, s.upper)]
+        table[field] = entry
+    table.add(tomlkit.nl())
+    return table

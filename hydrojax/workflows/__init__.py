@@ -1,0 +1,1 @@
+"""What needs both identification and tuning: friction bounds, fleets of logs."""

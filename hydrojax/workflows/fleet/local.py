@@ -1,0 +1,177 @@
+"""Worker processes on this machine, and what happens when one of them dies.
+
+Each has its own process and its share of the cores. A worker whose memory has grown is
+replaced; a task whose worker died is given to another, a few times.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+from hydrojax.workflows.fleet.work import Done, Task, lost
+
+MEMORY = 3 * 2**30
+"""Bytes a worker may have held before it is replaced: compiled programs stay in it."""
+
+TRIES = 3
+"""Workers that may die of a task before it counts as failed."""
+
+Hear = Callable[[Done], None]
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on every system
+        return os.cpu_count() or 1
+
+
+def share_out(
+    tasks: Iterable[Task], workers: int, log: Path, hear: Hear, most: int = MEMORY
+) -> None:
+    """Have every task done by one of some worker processes.
+
+    However it ends, no worker is left. What they print goes to the end of `log`.
+
+    Args:
+        tasks: taken one by one as workers get free.
+        workers: how many.
+        log: a file, made if it is not there.
+        hear: told of every task that is done, in this thread.
+        most: bytes of a worker at which it is replaced.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    source, lock = iter(tasks), threading.Lock()
+    heard: SimpleQueue[Done | BaseException | None] = SimpleQueue()
+    lanes = [_Lane(source, lock, heard, log, workers, most) for _ in range(workers)]
+    for lane in lanes:
+        lane.start()
+    try:
+        running = workers
+        while running:
+            try:
+                said = heard.get(timeout=1.0)  # so that Ctrl-C is heard everywhere
+            except Empty:
+                continue
+            if said is None:
+                running -= 1
+            elif isinstance(said, BaseException):
+                raise said
+            else:
+                hear(said)
+    finally:
+        for lane in lanes:
+            lane.stop()
+        for lane in lanes:
+            lane.join()
+
+
+class _Lane(threading.Thread):
+    """One worker after another, and the tasks they are given."""
+
+    def __init__(self, source: Iterator[Task], lock, heard, log: Path, workers, most):
+        super().__init__(daemon=True)
+        self.source, self.lock, self.heard = source, lock, heard
+        self.log, self.most = log, most
+        self.environment = os.environ | environment(max(1, cores() // workers))
+        self.process: subprocess.Popen[str] | None = None
+        self.stopped = False
+
+    def run(self) -> None:
+        try:
+            while not self.stopped:
+                with self.lock:
+                    task = next(self.source, None)
+                if task is None:
+                    break
+                done = self._persist(task)
+                if done is not None:
+                    self.heard.put(done)
+                    if done.memory > self.most:
+                        self._end()
+        except BaseException as error:
+            self.heard.put(error)
+        finally:
+            self._end()
+            self.heard.put(None)
+
+    def stop(self) -> None:
+        """End the worker at once, whatever it does."""
+        self.stopped = True
+        process = self.process
+        if process is not None:
+            process.kill()
+
+    def _persist(self, task: Task) -> Done | None:
+        """Ask worker after worker; None if all was stopped."""
+        code = 0
+        for _ in range(TRIES):
+            answer = self._ask(task)
+            if self.stopped:
+                return None
+            if answer:
+                return Done.model_validate_json(answer)
+            code = self._end()
+        return lost(task, f"its worker died {TRIES} times ({_cause(code)})")
+
+    def _ask(self, task: Task) -> str:
+        """The worker's answer; "" if it died."""
+        if self.process is None:
+            self.process = self._begin()
+            if self.stopped:  # `stop` may have come before there was one to end
+                return ""
+        pipe, answers = self.process.stdin, self.process.stdout
+        assert pipe is not None and answers is not None
+        try:
+            pipe.write(task.model_dump_json() + "\n")
+            pipe.flush()
+            return answers.readline()
+        except OSError:
+            return ""
+
+    def _begin(self) -> subprocess.Popen[str]:
+        with self.log.open("a") as log:
+            return subprocess.Popen(
+                [sys.executable, "-m", "hydrojax.workflows.fleet.worker"],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
+                env=self.environment, encoding="utf-8",
+                start_new_session=True,  # Ctrl-C is for who started the fleet
+            )  # fmt: skip
+
+    def _end(self) -> int:
+        process, self.process = self.process, None
+        if process is None:
+            return 0
+        if process.poll() is None:
+            process.kill()
+        code = process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                pipe.close()
+        return code
+
+
+def environment(threads: int) -> dict[str, str]:
+    """What keeps a worker's programs to so many threads.
+
+    The first two are read by XLA's pool of threads on the CPU, of which there is no
+    other setting but the process's affinity.
+    """
+    names = ("NPROC", "PJRT_NPROC", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+    return dict.fromkeys(names, str(threads))
+
+
+def _cause(code: int) -> str:
+    """An exit status in words."""
+    try:
+        return signal.Signals(-code).name if code < 0 else f"exit status {code}"
+    except ValueError:
+        return f"signal {-code}"

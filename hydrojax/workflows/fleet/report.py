@@ -1,0 +1,179 @@
+"""fleet.html: one self-contained page over all jobs, and its pictures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hydrojax import units
+from hydrojax.identify.report.figures import png
+from hydrojax.report.files import write_all
+from hydrojax.report.page import Picture
+from hydrojax.report.page import page as make_page
+from hydrojax.report.text import p_text, quantity, words
+from hydrojax.rigfile import controller
+from hydrojax.rigfile.edit import text
+from hydrojax.workflows.fleet import pictures, summary
+from hydrojax.workflows.fleet.pictures import CROWD, ROW_NUMBER
+from hydrojax.workflows.fleet.store import Store
+from hydrojax.workflows.fleet.summary import BOXED, FAR, Bounds, Fleet
+
+LISTED = 100
+"""Lines of a list on the page; the table has all."""
+LABELS = 6
+"""Labels that have a picture."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the page says, before it is a page."""
+
+    jobs: int
+    verdicts: list[tuple[str, int]]
+    failures: list[tuple[str, str]]
+    reasons: int
+    found: list[summary.Found]
+    outliers: dict[str, list[summary.Outlier]]
+    drifts: list[summary.Drift]
+    parameters: list[tuple[str, str, int, float, float, float]]
+    bounds: Bounds | None
+    labels: list[str]
+
+
+def look(store: Store, keys: Sequence[str]) -> Seen:
+    """Everything that the page says of the merged table; outliers by job."""
+    fleet = Fleet(store.folder / "fleet.parquet")
+    whole = fleet.columns("job", "verdict", "failed")
+    verdicts = Counter(whole["verdict"].dropna())
+    failed = whole[whole["failed"].notna()]
+    some = list(_records(store, keys))
+    apart: dict[str, list[summary.Outlier]] = {}
+    for outlier in summary.outliers(fleet):
+        apart.setdefault(outlier.job, []).append(outlier)
+    return Seen(
+        len(whole),
+        sorted(verdicts.items(), key=lambda v: -v[1]),
+        list(zip(failed["job"], failed["failed"], strict=True))[:LISTED],
+        len(failed),
+        summary.effects(fleet, some),
+        apart,
+        summary.drifts(fleet),
+        [_spread(fleet, name) for name in fleet.parameters],
+        summary.friction_box(some),
+        fleet.labels,
+    )
+
+
+def _records(store: Store, keys: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Results that did not fail; of a very long table, some drawn at random."""
+    order: Any = range(len(keys))
+    if len(keys) > BOXED:
+        order = np.sort(np.random.default_rng(0).permutation(len(keys))[:BOXED])
+    for i in order:
+        record = store.load(keys[int(i)])
+        if record and not record["failed"]:
+            yield record
+
+
+def _spread(fleet: Fleet, name: str) -> tuple[str, str, int, float, float, float]:
+    """Name, unit, fits that tell it, and their 5, 50 and 95 % quantiles."""
+    own = fleet.told(name)["value"].to_numpy(float)
+    at = np.quantile(own, [0.05, 0.5, 0.95]) if len(own) else np.full(3, np.nan)
+    low, middle, high = at.tolist()
+    return name, fleet.unit(f"parameter.{name}"), len(own), low, middle, high
+
+
+def controller_lines(bounds: Bounds) -> list[str]:
+    """The box as lines for [controller], in the paper's units."""
+    out = []
+    for name, *ends in zip(
+        bounds.box.names, bounds.box.lower, bounds.box.upper, strict=True
+    ):
+        unit = controller.KEYS[name].unit
+        factor = units.to_si(1.0, unit, controller.si(unit), name)
+        low, high = (text(float(f"{e / factor:.4g}"), unit) for e in ends)
+        out.append(f'{name} = ["{low}", "{high}"]')
+    return out
+
+
+def draw(store: Store, seen: Seen) -> list[Picture]:
+    """The pictures that there is something to show in."""
+    fleet = Fleet(store.folder / "fleet.parquet")
+    out = []
+
+    def show(name: str, figure: Figure | None, alt: str, caption: str) -> None:
+        if figure is not None:
+            out.append(Picture(name, png(figure), alt, caption))
+
+    said = (
+        "Every fit that tells the parameter, with its 95 % interval; orange: a robust "
+        f"z score beyond {FAR:g}."
+    )
+    if seen.jobs > CROWD:
+        said = (
+            "Median of the fits, and the range of 90 % of them, in parts of the axis "
+            f"with equally many; orange: a robust z score beyond {FAR:g}."
+        )
+    for i, name in enumerate(seen.labels[:LABELS] or [""]):
+        what = name or ROW_NUMBER
+        figure = pictures.parameter_figure(fleet, name)
+        show(f"fleet_label_{i + 1}", figure, f"Parameters against {what}.", said)
+    rows = ", ".join(f"{words(f.name)} {f.jobs}" for f in seen.found)
+    ran = seen.jobs - seen.reasons
+    show(
+        "fleet_effects",
+        pictures.effect_figure(seen.found, ran),
+        f"Effects found: {rows}.",
+        "How many fits found each effect.",
+    )
+    if seen.bounds:
+        show(
+            "fleet_friction",
+            pictures.bounds_figure(seen.bounds),
+            "Friction parameters of the fits, and the bounds around them.",
+            "Friction of every fit that tells it about as well as most (spread up and "
+            "down to be seen), their mean, and the box that holds the next run's "
+            "friction, all of it together, with 95 %. The fits' own uncertainty is "
+            "taken out: fits may stand outside while friction does not.",
+        )
+    return out
+
+
+def page(seen: Seen, shown: Sequence[Picture], title: str) -> str:
+    """fleet.html, with its pictures inside."""
+    lines = controller_lines(seen.bounds) if seen.bounds else []
+    return make_page(
+        Path(__file__).parent / "fleet.html",
+        (quantity, p_text, words),
+        s=seen,
+        pictures=shown,
+        title=title,
+        lines=lines,
+        far=FAR,
+        listed=LISTED,
+    )
+
+
+def write_report(store: Store, keys: Sequence[str], title: str) -> Seen:
+    """Write fleet.html and its pictures beside the table.
+
+    Args:
+        store: where the table and the results are.
+        keys: of the jobs, in order.
+        title: what the fleet is called.
+    """
+    seen = look(store, keys)
+    shown = draw(store, seen)
+    files = {f"{p.name}.png": p.png for p in shown}
+    files["fleet.html"] = page(seen, shown, title).encode()
+    write_all(store.folder, files)
+    for old in store.folder.glob("fleet_*.png"):
+        if old.name not in files:
+            old.unlink()
+    return seen

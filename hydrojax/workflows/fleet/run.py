@@ -1,0 +1,175 @@
+"""The whole of a fleet: what is left to do, the work, the table, the report."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow.parquet as pq
+
+from hydrojax.errors import InputError
+from hydrojax.workflows.fleet import cluster as clusters
+from hydrojax.workflows.fleet import local
+from hydrojax.workflows.fleet.jobs import Jobs, read_jobs
+from hydrojax.workflows.fleet.store import Store, merge, merged
+from hydrojax.workflows.fleet.work import (
+    SOLVER,
+    Done,
+    Options,
+    Task,
+    keys_of,
+    located,
+    lost,
+    perform,
+)
+
+Tell = Callable[[int, int], None]
+"""Hears of done jobs, of how many."""
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a run did: jobs in the table, those done in this run, those that failed.
+
+    `fresh` is whether fleet.parquet was written.
+    """
+
+    jobs: int
+    done: int
+    failed: int
+    fresh: bool
+
+
+class Stopped(Exception):
+    """Ctrl-C: so many are done and kept, of how many."""
+
+    def __init__(self, done: int, jobs: int):
+        super().__init__(f"{done} of {jobs} are done and kept")
+
+
+def run_fleet(
+    source: str | Path,
+    out: Path,
+    options: Options | None = None,
+    workers: int = 0,
+    cluster: str = "",
+    progress: Tell | None = None,
+    solver: str = SOLVER,
+    report: bool = True,
+) -> Ran:
+    """Do what is left of a table of jobs, and write its one table of results.
+
+    A run that was killed goes on where it was; one that is done does nothing.
+
+    Args:
+        source: a table or a folder; see `read_jobs`.
+        out: folder of the results.
+        options: how every job is done.
+        workers: worker processes; 0 is one per core.
+        cluster: address of a dask scheduler, or local:N, in place of them.
+        tell: hears of progress.
+        solver: what does a job; see `work.SOLVER`.
+        report: whether fleet.html and its pictures are made too.
+
+    Raises:
+        InputError: a table or an address that will not do, or results that workers
+            wrote and that are not here.
+        Stopped: Ctrl-C.
+    """
+    options = options or Options()
+    jobs = read_jobs(source, options.command)
+    store = Store(out)
+    keys = keys_of(jobs, options)
+    mark = _mark(jobs, keys)
+    store.clear()
+    done = 0
+    for again in (False, True):
+        have = store.done()
+        left = set(keys) - have
+        if left:
+            tasks = _tasks(jobs, keys, left, options, out, solver)
+            done += _work(
+                tasks, len(left), len(set(keys)), out, workers, cluster, progress
+            )
+        elif merged(store) == mark and ((out / "fleet.html").exists() or not report):
+            return Ran(len(jobs), done, _failures(out), False)
+        (out / "fleet.html").unlink(missing_ok=True)  # of another table
+        # A table with what is tried again is not the last: it has no mark.
+        last = set(keys) <= store.done()
+        unread, failed = merge(store, jobs, keys, mark if last else "")
+        if not unread:
+            if report:
+                from hydrojax.workflows.fleet.report import (
+                    write_report,  # it draws: only where it is wanted
+                )
+
+                write_report(store, keys, jobs.source.name)
+            return Ran(len(jobs), done, failed, True)
+        if again:
+            break
+        for key in unread:  # a power cut can leave a file empty
+            store.drop(key)
+    raise InputError(
+        f"{out}: {len(unread)} results are not here after their jobs were done; give "
+        "all workers this folder under the same path"
+    )
+
+
+def _tasks(
+    jobs: Jobs, keys: list[str], left: set[str], options: Options, out: Path, solver
+) -> Iterator[Task]:
+    """The tasks that are left; what two rows ask for is done once."""
+    given: set[str] = set()
+    whole = options.model_copy(
+        update={"effects": tuple(str(Path(p).absolute()) for p in options.effects)}
+    )
+    for job, key in zip(jobs, keys, strict=True):
+        if key in left and key not in given:
+            given.add(key)
+            yield Task(
+                key=key, job=located(job, jobs.folder), options=whole,
+                out=str(out.absolute()), solver=solver,
+            )  # fmt: skip
+
+
+def _work(
+    tasks: Iterator[Task], left: int, total: int, out: Path, workers: int,
+    cluster: str, progress: Tell | None,
+) -> int:  # fmt: skip
+    """Have tasks done; how many were."""
+    done = 0
+
+    def hear(_: Done) -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(total - left + done, total)
+
+    if progress:
+        progress(total - left, total)
+    try:
+        if cluster:
+            with clusters.client(cluster) as found:
+                clusters.share_out(tasks, perform, found, hear, lost)
+        else:
+            count = min(workers or local.cores(), left)
+            local.share_out(tasks, count, out / "workers.log", hear)
+    except KeyboardInterrupt:
+        raise Stopped(total - left + done, total) from None
+    return done
+
+
+def _mark(jobs: Jobs, keys: list[str]) -> str:
+    """What the table of results depends on."""
+    seen = hashlib.sha256(repr(list(jobs.table.columns)).encode())
+    rows = jobs.table.itertuples(index=False, name=None)
+    for key, row in zip(keys, rows, strict=True):
+        seen.update(f"{key}{row!r}".encode())
+    return seen.hexdigest()
+
+
+def _failures(out: Path) -> int:
+    column = pq.read_table(out / "fleet.parquet", columns=["failed"])["failed"]
+    return len(column) - column.null_count

@@ -1,0 +1,290 @@
+"""`identify` and `trace`: from a case to an `Outcome`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import ClassVar
+
+import jax
+import numpy as np
+
+from hydrojax.effects import EFFECTS
+from hydrojax.effects.channels import QUEUE
+from hydrojax.errors import InputError
+from hydrojax.identify.case import Case
+from hydrojax.identify.estimation.fit import (
+    Point,
+    fit_force,
+    fit_jointly,
+    fit_pressures,
+)
+from hydrojax.identify.estimation.problem import (
+    COULOMB,
+    Problem,
+    free_effect,
+    free_parameters,
+    in_play,
+)
+from hydrojax.identify.estimation.starts import best_start
+from hydrojax.identify.inference.profile import profiles
+from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
+from hydrojax.identify.results.closed_loop import check_loop
+from hydrojax.identify.results.outcome import LoopCheck, Outcome
+from hydrojax.identify.results.summary import summarise
+from hydrojax.identify.tracing.loop import trace
+from hydrojax.identify.tracing.state import Tracing
+from hydrojax.parameters import Effect, specs
+from hydrojax.rigfile.build import make_effects, make_rig
+from hydrojax.rigfile.edit import rewrite
+
+Tell = Callable[[str], None]
+
+BLIND_STARTS = 4
+"""Starts at least where no pressure is measured: one often leads astray there."""
+
+TOLD = 3.0
+"""Standard deviations by which a fit must tell k_cp from k_cn to keep them apart."""
+
+
+def applicable(case: Case) -> tuple[str, ...]:
+    """Names of the effects that could show in these logs at all."""
+    has = set(case.fit_logs[0].signals)
+    can = has & {"P_a1", "P_a2"}
+    if case.fit.driven_by == "u":
+        can.add("u")
+    if np.isfinite(case.fit.noise[2]):
+        can.add("F")
+        if "F" in has:
+            can.add("loadcell")
+    if "radius" in case.spec.geometry:
+        can.add("psi")
+    if case.spec.layout == "single":
+        can -= {"P_a1"}
+    return tuple(n for n, e in EFFECTS.items() if set(e.needs) <= can)
+
+
+def _problems(
+    case: Case, candidates: Sequence[str]
+) -> tuple[Problem, Problem, tuple[str, ...], dict[str, Effect]]:
+    """Problems on both sets of logs, the free parameters, the candidates' modules."""
+    names = (*case.spec.effects, *candidates)
+    effects = make_effects(names, case.spec, case.fit.travel)
+    rig = make_rig(case.spec, effects)
+    free = free_parameters(case.spec)
+    known = dict(free)
+    for name in candidates:
+        known |= free_effect(name, specs(effects[name]))
+    if "valve_delay.tau_u" in known:
+        # A delay reaches no further back than its queue, which counts in ticks.
+        reach = (QUEUE - 1) * float(np.min(case.fit.windows.h))
+        f = known["valve_delay.tau_u"]
+        known["valve_delay.tau_u"] = replace(f, upper=min(f.upper, reach))
+    problem = Problem.of(rig, free, case.fit)
+    check = Problem.of(rig, free, case.check)
+    use = in_play(problem, case.fit)
+    dormant = {n: e for n, e in effects.items() if n in candidates}
+    return replace(problem, free=known), check, use, dormant
+
+
+def _fit_base(
+    problem: Problem, free: tuple[str, ...], starts: int, progress: Tell, path: str
+) -> tuple[Problem, np.ndarray, Problem, Point]:
+    """Fit the declared model: where its pressures stood, and where all of it does.
+
+    Raises:
+        InputError: values of the rig file at `path` that have no finite answer.
+    """
+    values = problem.initial_values()
+    starts = max(starts, BLIND_STARTS) if problem.blind else starts
+    if starts > 1:
+        progress(f"{starts} starts on every few windows")
+        values = best_start(problem, values, free, starts)
+    progress("fit the declared model")
+    if problem.sees_pressures and problem.side(free, True):
+        problem, values = fit_pressures(problem, values, free)
+    done, point = fit_force(problem, values, free)
+    if not np.isfinite(done.batch.P_0).all():
+        raise InputError(
+            f"{path}: with the values under [parameters] and [geometry] the model has "
+            "no finite answer to these logs; look for one that no rig has"
+        )
+    return problem, values, done, point
+
+
+def fit_case(case: Case, starts: int = 4, progress: Tell = lambda _: None) -> Tracing:
+    """Fit the declared model: where it stands, before anything is said of it.
+
+    Raises:
+        InputError: no parameter of the rig file has a range.
+    """
+    problem, check, free, _ = _problems(case, ())
+    if not free:
+        raise InputError(
+            f"{case.spec.path}: nothing to identify: give at least one parameter a "
+            'range, as in beta = { start = "8e8 Pa", range = ["1e8 Pa", "3e9 Pa"] }'
+        )
+    *_, problem, point = _fit_base(problem, free, starts, progress, case.spec.path)
+    return Tracing(problem, check, {}, free, point, 0.02, 0.01, progress)
+
+
+def identify(
+    case: Case,
+    starts: int = 4,
+    progress: Tell = lambda _: None,
+    profile: bool = False,
+) -> Outcome:
+    """Fit the declared model, and say how well it does and can be believed.
+
+    With `profile`, intervals by profile likelihood too: many refits.
+    """
+    began, compiled = time.perf_counter(), _Compiling()
+    state = fit_case(case, starts, progress)
+    return _outcome(
+        "identify", case, state, state.point, began, compiled, progress, profile
+    )
+
+
+def trace_case(
+    case: Case,
+    starts: int = 1,
+    matters: float = 0.02,
+    level: float = 0.01,
+    progress: Tell = lambda _: None,
+    profile: bool = False,
+) -> Outcome:
+    """The whole loop: fit, residual, the effect behind it, refit, before and after."""
+    began = time.perf_counter()
+    names = [n for n in applicable(case) if n not in case.spec.effects]
+    problem, check, free, effects = _problems(case, names)
+    compiled = _Compiling()
+    values = problem.initial_values()
+    with ThreadPoolExecutor(2) as pool:
+        # What the trace will need is compiled while the first fit runs.
+        ahead = [
+            pool.submit(check.errors_at, values),
+            pool.submit(problem.sums_at, values),
+        ]
+        early, values, done, point = _fit_base(
+            problem, free, starts, progress, case.spec.path
+        )
+        for job in ahead:
+            job.result()
+    start = Tracing(
+        early,
+        check,
+        effects,
+        free,
+        replace(point, values=values),
+        matters,
+        level,
+        progress,
+    )
+    state = trace(start)
+    return _outcome("trace", case, state, point, began, compiled, progress, profile)
+
+
+class _Compiling:
+    """Seconds in which something was being compiled, as JAX's own events say.
+
+    Programs are compiled side by side, so it is the time covered that counts.
+    """
+
+    EVENT = "/jax/core/compile/backend_compile_duration"
+
+    SPANS: ClassVar[list[tuple[float, float]]] = []
+    HEARS: ClassVar[list[bool]] = []
+
+    def __init__(self):
+        self.first = len(self.SPANS)
+        if not self.HEARS:  # a listener cannot be taken back: one serves all
+            jax.monitoring.register_event_duration_secs_listener(self._heard)
+            self.HEARS.append(True)
+
+    @classmethod
+    def _heard(cls, event: str, duration_secs: float, **kwargs: str | int) -> None:
+        if event == cls.EVENT:
+            now = time.perf_counter()
+            cls.SPANS.append((now - duration_secs, now))
+
+    @property
+    def seconds(self) -> float:
+        total, until = 0.0, -np.inf
+        for start, end in sorted(self.SPANS[self.first :]):
+            total += max(0.0, end - max(start, until))
+            until = max(until, end)
+        return total
+
+
+def _settled(state: Tracing) -> tuple[Tracing, Uncertainty, tuple[str, ...]]:
+    """The final fit, what the logs say of it, and a remark: symmetric in Coulomb
+    friction unless fit or check tell otherwise.
+
+    In sliding only `k_cp + k_0` and `k_cn - k_0` act: the three differ in the bristle's
+    turning alone, which a log may not resolve. Where the fit does not tell k_cp from
+    k_cn, and the check is as good without a difference, the simpler of the two
+    descriptions is taken.
+    """
+    noise = state.noise
+    belief = estimate_uncertainty(state.problem, state.point, state.free)
+    if not {*COULOMB, "k_0"} <= set(state.free) or not np.isfinite(noise[2]):
+        return state, belief, ()
+    if set(COULOMB) <= set(belief.inside):
+        at = [belief.inside.index(n) for n in COULOMB]
+        difference = np.array([1.0, -1.0])
+        spread = np.sqrt(difference @ belief.covariance[np.ix_(at, at)] @ difference)
+        if abs(state.named["k_cp"] - state.named["k_cn"]) > TOLD * spread:
+            return state, belief, ()
+    problem, point = fit_jointly(
+        replace(state.problem, symmetric=True),
+        state.point.values,
+        state.free,
+        state.point.weights,
+    )
+    own, tied = (
+        state.check.rms(state.check.errors_at(p.values)) for p in (state.point, point)
+    )
+    if np.any(tied > own + state.matters * np.maximum(noise, own)):
+        return state, belief, ()
+    said = (
+        "k_cp, k_cn and k_0: these logs tell only k_cp + k_0 and k_cn - k_0; k_cp and "
+        "k_cn were taken as equal"
+    )
+    state = replace(state, problem=problem, point=point)
+    return state, estimate_uncertainty(problem, point, state.free), (said,)
+
+
+def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
+    """The first log kept for the check, run again in the identified rig's loop."""
+    if case.fit.driven_by != "u":
+        return ()
+    added = tuple(a.name for a in state.added)
+    log = case.check_logs[0]
+    done = check_loop(case.spec, log, state.named, added, case.fit.travel)
+    return (done,) if done else ()
+
+
+def _outcome(command, case, state, base, began, compiled, progress, profile) -> Outcome:
+    progress("errors, intervals and what is left")
+    state, belief, said = _settled(state)
+    if profile:
+        found = profiles(state.problem, state.point, state.free, belief, progress)
+        belief = replace(belief, profiles=found)
+    outcome = summarise(command, case, state, base, belief)
+    outcome = replace(outcome, limits=(*said, *outcome.limits))
+    progress("the closed loop again")
+    outcome = replace(
+        outcome,
+        loops=_loops(case, state),
+        rig_file=rewrite(
+            case.spec,
+            state.named,
+            [a.name for a in state.added],
+            travel=case.fit.travel,
+        ),
+    )
+    total = time.perf_counter() - began
+    seconds = {"compile": compiled.seconds, "run": total - compiled.seconds}
+    return replace(outcome, seconds=seconds)

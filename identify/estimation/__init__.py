@@ -1,0 +1,1 @@
+"""Fits: predictions and their derivatives, misfit, bounded least squares."""

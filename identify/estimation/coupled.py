@@ -1,0 +1,102 @@
+"""What gives between piston and encoder, under the force that the model puts out.
+
+A fit lets a rod or a play follow the measured force. Its noise then moves the piston,
+and comes back from oil and bristle larger than it was, the more so the softer the rod
+is against them. How well a model does is therefore judged with the force that it puts
+out itself, which takes a few rounds to agree with what it stretches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+
+from hydrojax.identify.estimation.columns import Batch, Model
+from hydrojax.plant import rod
+from hydrojax.plant.chambers import Point
+from hydrojax.plant.named import put
+from hydrojax.plant.rig import Rig
+
+ROUNDS = 10
+"""Most rounds until force and stretch agree."""
+
+HALVINGS = 40
+"""Of the bracket that holds a tick's force."""
+
+AGREED = 0.05
+"""Share of the force's noise by which they may still differ, RMS."""
+
+
+def stretched(model: Model, values: np.ndarray) -> Rig | None:
+    """The rig at `values` if anything gives in it."""
+    if not model.rig.stretch:
+        return None
+    rig = put(model.rig, model.names, jnp.asarray(values))
+    probe = jnp.array([-1e3, 1e3])
+    return rig if np.any(np.asarray(rod.ahead(rig.stretch, probe))) else None
+
+
+def agreed(
+    rig: Rig,
+    batch: Batch,
+    left: np.ndarray,
+    replayed: Callable[[Batch], np.ndarray],
+) -> np.ndarray:
+    """Measured less replayed, [W, T, 3], once force and stretch agree.
+
+    `left` is that under the batch's own force, `replayed` gives it under another one.
+    """
+    noise = float(np.asarray(batch.noise)[2])
+    off, rounds = np.inf, 0
+    while np.isfinite(noise) and off > AGREED * noise and rounds < ROUNDS:
+        batch, off = _followed(rig, batch, left)
+        left, rounds = replayed(batch), rounds + 1
+    return left
+
+
+def _followed(rig: Rig, batch: Batch, left: np.ndarray) -> tuple[Batch, float]:
+    """The batch with its stretching force brought nearer to the one that came of it.
+
+    `left` [W, T, 3] is measured less replayed. Returns by how much force and stretch
+    differed, RMS in N. Each tick is solved by itself, by halving: its force answers the
+    stretch by the stiffness of oil and bristle, and hardly depends on other ticks.
+    """
+    w, lead = batch.windows, batch.windows.x.shape[1] - batch.windows.scored
+    F = np.array(batch.motion.F)
+    ticks = np.asarray(w.first)[:, None] + np.arange(w.x.shape[1])
+    seg = np.asarray(w.seg)[:, None]
+    at = seg, ticks[:, lead:]
+    here, came = F[at], np.asarray(w.measured)[..., 2] - left[..., 2]
+    K, s_here = float(answer(rig, batch)[2]), _ahead(rig, here)
+    low, high = np.minimum(here, came), np.maximum(here, came)
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        above = middle + K * (_ahead(rig, middle) - s_here) > came
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    F[at] = (low + high) / 2
+    windows = w._replace(F=F[seg, ticks])
+    batch = batch._replace(motion=batch.motion._replace(F=F), windows=windows)
+    return batch, float(np.sqrt(np.mean((came - here) ** 2)))
+
+
+def _ahead(rig: Rig, F: np.ndarray) -> np.ndarray:
+    return np.asarray(rod.ahead(rig.stretch, jnp.asarray(F)))
+
+
+def answer(rig: Rig, batch: Batch) -> np.ndarray:
+    """Pressures (Pa) and force (N) by which oil and bristle answer a metre of the
+    piston, at most; [3].
+    """
+    w = batch.windows
+    x = jnp.asarray([np.min(w.x), np.max(w.x)])
+    P = jnp.full(2, np.median(w.P_a1)), jnp.full(2, np.median(w.P_a2))
+    none = jnp.zeros(2)
+    at = Point(*P, P[0], none, (none,), x, v=none + 1.0)
+    moved = rig.chambers.rates(at, none, none, rig.compliance, rig.volume)
+    oil = jnp.stack([*moved, rig.drive_force(*moved)])
+    friction = rig.mechanics
+    level = jnp.maximum(friction.k_cp, friction.k_cn)
+    bristle = jnp.array([0.0, 0.0, level / friction.z_ss])
+    return np.asarray(jnp.max(jnp.abs(oil), axis=1) + bristle)

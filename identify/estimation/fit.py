@@ -1,0 +1,101 @@
+"""Fit a rig's free parameters, in the order of the signal path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrojax.identify.estimation.problem import PRESSURES, Problem
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a fit stands: all values, and the channels' weights it was made with."""
+
+    values: np.ndarray
+    weights: np.ndarray
+    steps: int
+    converged: bool
+
+
+def only(noise: np.ndarray, channels: np.ndarray) -> np.ndarray:
+    """The noise, with the other channels not compared."""
+    return np.where(channels, noise, np.inf)
+
+
+def reweighted(noise: np.ndarray, rms: np.ndarray) -> np.ndarray:
+    """The noise, or the misfit of a channel that the model cannot follow.
+
+    Given the weight of its noise such a channel would bend the parameters of the
+    others: force stands downstream of pressure, and an unknown force would be paid
+    for with a wrong bulk modulus.
+    """
+    return np.where(rms > 1.25 * noise, np.maximum(noise, rms), noise)
+
+
+def fit(
+    problem: Problem, values: np.ndarray, free: Sequence[str]
+) -> tuple[Problem, Point]:
+    """Fit the free parameters to all channels, in the order of the signal path.
+
+    Hydraulics on the pressures alone, then the mechanics, then all together with each
+    channel at the weight it has earned. Returns the problem with its windows'
+    initial pressures brought up to date, and the fit.
+    """
+    if problem.sees_pressures and problem.side(free, True):
+        problem, values = fit_pressures(problem, values, free)
+    return fit_force(problem, values, free)
+
+
+def fit_force(
+    problem: Problem, values: np.ndarray, free: Sequence[str]
+) -> tuple[Problem, Point]:
+    """The second half of `fit`, from hydraulics that fit the pressures already."""
+    noise = np.asarray(problem.batch.noise)
+    weights = noise
+    mechanical = problem.side(free, False)
+    if problem.sees_pressures and mechanical and np.isfinite(noise[2]):
+        # Pressures that are off would be paid for by friction: weigh, then fit.
+        _, out = problem.solve(values, (), noise)
+        weights = reweighted(noise, problem.rms(out.also.sse))
+        values, out = problem.solve(values, mechanical, weights)
+        problem = problem.restarted(out.also, values)
+        weights = reweighted(noise, problem.rms(out.also.sse))
+    return fit_jointly(problem, values, free, weights)
+
+
+def fit_jointly(
+    problem: Problem, values: np.ndarray, free: Sequence[str], weights: np.ndarray
+) -> tuple[Problem, Point]:
+    """Fit everything free at once from nearby, each channel at its weight."""
+    noise = np.asarray(problem.batch.noise)
+    seen = np.isfinite(noise)
+    before = np.inf
+    for left in reversed(range(8 if problem.blind else 3)):
+        values, out = problem.solve(values, free, weights)
+        problem = problem.restarted(out.also, values)
+        rms = problem.rms(out.also.sse)
+        earned = reweighted(noise, rms)
+        same = np.allclose(earned[seen], weights[seen], rtol=0.1)
+        # Without pressures to see, where the windows begin moves on with the fit.
+        if left == 0 or (same and not (problem.blind and rms[2] < 0.99 * before)):
+            return problem, Point(values, weights, int(out.steps), bool(out.converged))
+        weights, before = earned, rms[2]
+    raise AssertionError("the last round returns")
+
+
+def fit_pressures(
+    problem: Problem, values: np.ndarray, free: Sequence[str]
+) -> tuple[Problem, np.ndarray]:
+    """Fit the free parameters that the pressures see, on the pressures alone."""
+    noise = only(np.asarray(problem.batch.noise), PRESSURES)
+    sensors = (n for n in problem.side(free, False) if n.startswith("pressure_sensor"))
+    names = (*problem.side(free, True), *sensors)
+    for _ in range(3):
+        values, out = problem.solve(values, names, noise)
+        problem = problem.restarted(out.also, values)
+        if np.median(np.abs(out.also.start[:, :2, -1])) < 0.5 * np.min(noise):
+            break
+    return problem, values

@@ -1,0 +1,401 @@
+"""What is fitted to what: a model, its free parameters, logs, and compiled programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, PyTree
+
+from hydrojax.identify.estimation.columns import Basis, Batch, Model, basis, slot_names
+from hydrojax.identify.estimation.coupled import agreed, stretched
+from hydrojax.identify.estimation.misfit import Sums, leftover, sums
+from hydrojax.identify.estimation.solve import Fit, minimise
+from hydrojax.identify.preparation.data import Data
+from hydrojax.jax_setup import bucket
+from hydrojax.parameters import Spec
+from hydrojax.plant.rig import Rig
+from hydrojax.rigfile.schema import RigFile
+
+SPARE = ((0, 0), (2, 3), (4, 9), (8, 20), (16, 40))
+"""Columns kept free for effects that a trace adds (hydraulic, other): the first that
+holds them is taken, so that few programs serve every fit."""
+
+
+COULOMB = ("k_cp", "k_cn")
+
+
+BLIND = 6
+"""Corrections of the windows' initial pressures where none is measured."""
+
+
+TIED = 1e-3
+"""How closely (N) a symmetric fit holds k_cp and k_cn together."""
+
+
+PRESSURES = np.array([True, True, False])
+"""Which channels are pressures."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that is to be found: where it starts and what it may be, SI."""
+
+    start: float
+    lower: float
+    upper: float
+    prior: float | None = None
+
+
+@dataclass(frozen=True)
+class Known:
+    """What other logs tell of parameters: their values there, SI, and the curvature
+    [k, k] of that fit, in units of the scales, priors counted.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    curvature: np.ndarray
+
+    def rows(
+        self, columns: Sequence[str | None], at: np.ndarray, scale: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residual rows [k, k] by column, and their value with the columns `at`."""
+        sizes, vectors = np.linalg.eigh(self.curvature)
+        root = (vectors * np.sqrt(np.maximum(sizes, 0.0))).T
+        slope = np.zeros((len(columns), len(columns)))
+        away = np.zeros(len(columns))
+        for j, name in enumerate(self.names):
+            i = columns.index(name)
+            slope[: len(root), i] = root[:, j]
+            away[i] = (at[i] - self.values[j]) / scale[i]
+        return slope, slope @ away
+
+
+def free_parameters(spec: RigFile) -> dict[str, Free]:
+    """What a rig file leaves to be found, effects it declares included."""
+    entries = dict(spec.parameters)
+    for effect, given in spec.effects.items():
+        entries |= {f"{effect}.{name}": e for name, e in given.items()}
+    return {name: Free(e.start, *e.range) for name, e in entries.items() if e.range}
+
+
+def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
+    """The parameters of an effect that a trace adds, from its declaration."""
+    return {
+        f"{name}.{field}": Free(s.default, s.lower, s.upper, s.prior)
+        for field, s in spec.items()
+    }
+
+
+def batch_of(data: Data) -> Batch:
+    """A fit's arrays from prepared logs."""
+    motion, windows = jax.tree.map(np.asarray, (data.motion, data.windows))
+    supply_noise, weight = np.asarray(data.supply_noise), np.ones(len(data.P_0))
+    return Batch(motion, windows, data.P_0, data.noise, supply_noise, weight)
+
+
+def filled(batch: Batch) -> Batch:
+    """The batch with copies of its last window that weigh nothing, and standstill after
+    its motion: logs of other lengths then find their programs compiled.
+    """
+    windows = bucket(len(batch.P_0))
+    which = np.minimum(np.arange(windows), len(batch.P_0) - 1)
+    segments, ticks = batch.motion.h.shape
+    more = (bucket(segments, 1) - segments, bucket(ticks + 1) - ticks - 1)
+
+    def longer(a):
+        return np.pad(a, [*zip((0, 0, 0), (*more, 0), strict=True)][: a.ndim], "edge")
+
+    own = (batch.windows, batch.P_0, batch.weight)
+    own = jax.tree.map(lambda a: np.asarray(a)[which], own)
+    motion = jax.tree.map(longer, batch.motion)
+    still = np.array(motion.dx)
+    still[segments:], still[:, ticks:] = 0.0, 0.0
+    return batch._replace(
+        motion=motion._replace(dx=still),
+        windows=own[0],
+        P_0=own[1],
+        weight=own[2] * (np.arange(windows) < len(batch.P_0)),
+    )
+
+
+def _gram(
+    model: Model,
+    values: Array,
+    directions: Basis,
+    prior: tuple[Array, Array],
+    batch: Batch,
+    simulate: bool,
+    d: Array,
+) -> tuple[Array, Sums]:
+    """Gram matrix at `values` moved by `d` along the directions, with priors; and the
+    sums there, without the matrices of the single windows.
+    """
+    k_1 = directions.hydraulic.shape[1]
+    move = jnp.concatenate([directions.hydraulic @ d[:k_1], directions.other @ d[k_1:]])
+    at = sums(model, values + move, directions, batch, simulate)
+    total = jnp.sum(at.gram, 0)
+    slope, at_zero = prior  # what is known beforehand is more residual rows
+    rows = jnp.concatenate([slope, (slope @ d + at_zero)[:, None]], axis=1)
+    return total + rows.T @ rows, at._replace(gram=at.gram[:, :0])
+
+
+@eqx.filter_jit
+def _run(model, values, directions, prior, lower, upper, batch, simulate):
+    gram = partial(_gram, model, values, directions, prior, batch, simulate)
+    return minimise(gram, jnp.zeros_like(lower), lower, upper)
+
+
+@eqx.filter_jit
+def _sums(model, values, directions, batch, simulate):
+    return sums(model, values, directions, batch, simulate)
+
+
+@eqx.filter_jit
+def _leftover(model, values, batch, simulate):
+    return leftover(model, values, batch, simulate)
+
+
+@eqx.filter_jit
+def run_starts(
+    model: Model,
+    values: Array,
+    starts: Array,
+    directions: Basis,
+    lower: Array,
+    upper: Array,
+    batch: Batch,
+    simulate: bool,
+) -> Fit:
+    """Fits from several starts [m, k] at once, vmapped; in units of the directions."""
+    none = (jnp.zeros((0, lower.size)), jnp.zeros(0))
+
+    def one(start):
+        gram = partial(_gram, model, values, directions, none, batch, simulate)
+        return minimise(gram, start, lower, upper)
+
+    return jax.vmap(one)(starts)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a fit is given: the model, what may be free, and the data.
+
+    `declared` counts the free parameters of the rig file, hydraulic and other.
+
+    `symmetric` holds k_cp and k_cn equal, for logs that do not tell a difference of
+    the two from an offset k_0. `known` is what other logs tell, in place of priors.
+    """
+
+    model: Model
+    free: Mapping[str, Free]
+    batch: Batch
+    declared: tuple[int, int]
+    simulate: bool
+    symmetric: bool = False
+    known: Known | None = None
+
+    @classmethod
+    def of(cls, rig: Rig, free: Mapping[str, Free], data: Data) -> Problem:
+        """The problem of fitting `free` on prepared logs."""
+        model = Model.of(rig)
+        first = sum(model.names.index(n) < model.hydraulic for n in free)
+        declared = (first, len(free) - first)
+        return cls(model, free, batch_of(data), declared, data.driven_by == "u")
+
+    def slots(self, free: Sequence[str]) -> tuple[int, int]:
+        """Columns, hydraulic and other, of the program that fits these parameters."""
+        need = (len(self.side(free, True)), len(self.side(free, False)))
+        sizes = [
+            (self.declared[0] + a, self.declared[1] + b)
+            for a, b in SPARE[len(self.free) > sum(self.declared) :]
+        ]
+        return next(s for s in sizes if need[0] <= s[0] and need[1] <= s[1])
+
+    def solve(
+        self,
+        values: np.ndarray,
+        free: Sequence[str] | None = None,
+        noise: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, Fit]:
+        """Move `free` from `values` to the best fit; returns all values, and how.
+
+        `noise` stands in for the problem's own where a part of the
+        model is fitted by itself.
+        """
+        free = tuple(self.free if free is None else free)
+        slots = self.slots(free)
+        columns = slot_names(self.model, free, slots)
+        index = np.array([self.model.names.index(n) if n else 0 for n in columns])
+        scale = self.model.scale[index]
+        at = values[index]
+        spare = Free(0.0, 0.0, 0.0)
+        given = [self.free[n] if n else spare for n in columns]
+        lower = np.array([f.lower for f in given])
+        upper = np.array([f.upper for f in given])
+        used = np.array([n is not None for n in columns])
+
+        def boxed(bound):
+            return jnp.asarray(np.where(used, (bound - at) / scale, 0.0))
+
+        batch = self.batch
+        if noise is not None:
+            batch = batch._replace(noise=noise)
+        out = _run(
+            self.model,
+            jnp.asarray(values),
+            basis(self.model, free, slots),
+            self._prior(columns, at, scale),
+            boxed(lower),
+            boxed(upper),
+            filled(batch),
+            self.simulate,
+        )
+        out = out._replace(also=self._real(out.also))
+        moved = values.copy()
+        step = np.asarray(out.at) * scale
+        for i, name in enumerate(columns):
+            if name:
+                # Clipped again in SI: the box's corner may be off by rounding.
+                moved[index[i]] = np.clip(at[i] + step[i], lower[i], upper[i])
+        return moved, out
+
+    def _prior(self, columns, at, scale) -> tuple[Array, Array]:
+        """Residual rows of what is known beforehand: slope [k+1, k], value [k+1].
+
+        One row per column with a prior, and one that ties k_cp to k_cn.
+        """
+        slope, value = np.zeros((len(columns) + 1, len(columns))), []
+        for i, name in enumerate(columns):
+            known = self.free[name].prior if name else None
+            slope[i, i] = scale[i] / known if known else 0.0
+            value.append((at[i] - self.free[name].start) / known if known else 0.0)
+        if self.known is not None:
+            slope[:-1], value = self.known.rows(columns, at, scale)
+        pair = [columns.index(n) for n in COULOMB if n in columns]
+        difference = 0.0
+        if self.symmetric and len(pair) == 2:
+            slope[-1, pair] = scale[pair[0]] / TIED, -scale[pair[1]] / TIED
+            difference = (at[pair[0]] - at[pair[1]]) / TIED
+        return jnp.asarray(slope), jnp.asarray([*value, difference])
+
+    def sums_at(self, values: np.ndarray, noise: np.ndarray | None = None) -> Sums:
+        """The windows' sums at `values`, along every parameter of the model."""
+        batch = self.batch
+        if noise is not None:
+            batch = batch._replace(noise=noise)
+        n = self.model.hydraulic
+        every = basis(self.model, self.model.names, (n, len(self.model.names) - n))
+        return self._evaluate(values, every, batch)
+
+    def residuals_at(self, values: np.ndarray) -> np.ndarray:
+        """Measured minus replayed, [W, T, 3], SI.
+
+        What gives follows the force that is replayed; see `coupled`.
+        """
+        batch, left = self._begun(values)
+        if not self.simulate:
+            return left
+        rig = stretched(self.model, values)
+        if rig is None:
+            return left
+        return agreed(rig, batch, left, lambda b: self._left(values, b)[0])
+
+    def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
+        at = jnp.asarray(values)
+        return self._real(_leftover(self.model, at, filled(batch), self.simulate))
+
+    def _begun(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
+        """The batch with its windows' initial pressures found, and the residuals.
+
+        They are corrected once, and linearly beyond that: logs that take no part in a
+        fit come with a first guess only. Where no pressure is measured it takes more,
+        and ways that lead through worse places: each window keeps the best it saw.
+        """
+        noise = np.asarray(self.batch.noise)
+        seen = np.isfinite(noise)
+        highest = np.max(np.asarray(self.batch.windows.P_s), axis=1, keepdims=True)
+
+        def cost(left: np.ndarray) -> np.ndarray:
+            return np.sum((left[..., seen] / noise[seen]) ** 2, axis=(1, 2))
+
+        P_0 = best = np.asarray(self.batch.P_0)
+        left, off = self._left(values, self.batch)
+        for _ in range(BLIND if self.blind else 1):
+            P_0 = np.clip(P_0 - off, 0.0, highest) if self.blind else P_0 - off
+            there, off = self._left(values, self.batch._replace(P_0=P_0))
+            better = cost(there) <= cost(left)
+            best = np.where(better[:, None], P_0, best)
+            left = np.where(better[:, None, None], there, left)
+        return self.batch._replace(P_0=best), left
+
+    def errors_at(self, values: np.ndarray) -> np.ndarray:
+        """Squared residuals by window and channel, [W, 3], SI."""
+        return np.sum(self.residuals_at(values) ** 2, axis=1)
+
+    def _evaluate(self, values, directions, batch) -> Sums:
+        values = jnp.asarray(values)
+        out = _sums(self.model, values, directions, filled(batch), self.simulate)
+        return self._real(out)
+
+    def _real(self, found: PyTree) -> PyTree:
+        """What was found of the windows, without those that only fill up."""
+        return jax.tree.map(lambda a: np.asarray(a)[: len(self.batch.P_0)], found)
+
+    def restarted(self, at: Sums, values: np.ndarray) -> Problem:
+        """The problem with each window's initial pressures moved to their estimate.
+
+        `at` are the windows' sums at `values`.
+        """
+        batch = self.batch
+        if self.blind:
+            return replace(self, batch=self._begun(values)[0])
+        return replace(self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :2, -1]))
+
+    def initial_values(self) -> np.ndarray:
+        """The rig's values, with every free parameter at its start."""
+        values = np.array(self.model.values)
+        for name, f in self.free.items():
+            values[self.model.names.index(name)] = f.start
+        return values
+
+    @property
+    def blind(self) -> bool:
+        """Whether pressures are simulated that no channel of the log shows."""
+        return self.simulate and not self.sees_pressures
+
+    @property
+    def sees_pressures(self) -> bool:
+        """Whether the pressures are simulated, and compared with the log's."""
+        noise = np.asarray(self.batch.noise)
+        return self.simulate and bool(np.any(np.isfinite(noise) & PRESSURES))
+
+    def side(self, names: Sequence[str], hydraulic: bool) -> tuple[str, ...]:
+        """Those of the names on which the pressures depend, or the others."""
+        n = self.model.hydraulic
+        return tuple(x for x in names if (self.model.names.index(x) < n) == hydraulic)
+
+    def rms(self, sse: Array | np.ndarray) -> np.ndarray:
+        """Root mean square by channel, [3], SI, of squared residuals [W, 3]."""
+        ticks = self.batch.windows.measured.shape[1]
+        return np.sqrt(
+            np.sum(np.asarray(sse), axis=0) / (np.sum(self.batch.weight) * ticks)
+        )
+
+
+def in_play(problem: Problem, data: Data) -> tuple[str, ...]:
+    """The free parameters that anything compared depends on."""
+    out = []
+    for name in problem.free:
+        hydraulic = problem.model.names.index(name) < problem.model.hydraulic
+        plays = data.driven_by == "u" if hydraulic else np.isfinite(data.noise[2])
+        if plays or (name.startswith("pressure_sensor") and data.driven_by == "u"):
+            out.append(name)
+    return tuple(out)

@@ -1,0 +1,72 @@
+"""Several starts at once, so that one poor guess does not decide a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hydrojax.identify.estimation.columns import Batch, basis
+from hydrojax.identify.estimation.problem import Problem, filled, run_starts
+
+SPREAD = 0.3
+"""Starts are drawn within this share of a parameter's size, inside its range."""
+THIN = 32
+"""Windows on which the starts are tried."""
+
+
+def best_start(
+    problem: Problem, values: np.ndarray, free: Sequence[str], count: int, seed: int = 0
+) -> np.ndarray:
+    """The best of `count` fits from starts around `values` (itself among them), [n].
+
+    All run side by side (vmapped) on a few windows spread over the logs. A start that
+    fails, to no number or a poor end, only loses.
+    """
+    free = tuple(free)
+    index = np.array([problem.model.names.index(n) for n in free])
+    lower = np.array([problem.free[n].lower for n in free])
+    upper = np.array([problem.free[n].upper for n in free])
+    at = values[index]
+    size = np.maximum(np.abs(at), 0.1 * problem.model.scale[index])
+    draw = np.random.default_rng(seed).uniform(-SPREAD, SPREAD, (count, len(free)))
+    draw[0] = 0.0
+    starts = np.clip(at + size * draw, lower, upper)
+    slots = (len(problem.side(free, True)), len(problem.side(free, False)))
+    # Columns stand hydraulic first, as `basis` lays them out.
+    order = np.argsort([i >= problem.model.hydraulic for i in index], kind="stable")
+    scale = problem.model.scale[index]
+
+    def coordinates(x):
+        return jnp.asarray(((x - at) / scale)[..., order])
+
+    out = run_starts(
+        problem.model,
+        jnp.asarray(values),
+        coordinates(starts),
+        basis(problem.model, free, slots),
+        coordinates(lower),
+        coordinates(upper),
+        filled(thinned(problem.batch)),
+        problem.simulate,
+    )
+    cost = np.where(np.isfinite(out.cost), out.cost, np.inf)
+    best = np.asarray(out.at)[int(np.argmin(cost))]
+    moved = values.copy()
+    moved[index[order]] = np.clip(
+        at[order] + scale[order] * best, lower[order], upper[order]
+    )
+    return moved
+
+
+def thinned(batch: Batch) -> Batch:
+    """A batch of at most `THIN` windows, spread evenly."""
+    count = batch.P_0.shape[0]
+    keep = np.unique(np.linspace(0, count - 1, min(THIN, count)).astype(int))
+    return batch._replace(
+        windows=jax.tree.map(lambda a: a[keep], batch.windows),
+        P_0=batch.P_0[keep],
+        weight=batch.weight[keep],
+    )

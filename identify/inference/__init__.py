@@ -1,0 +1,1 @@
+"""Uncertainty of a fit: covariance, intervals, identifiability."""

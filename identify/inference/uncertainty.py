@@ -1,0 +1,153 @@
+"""How far a fit can be believed: covariance, ranges reached, what is not identified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.problem import Problem
+
+Interval = tuple[float | None, float | None]
+
+VAGUE = 0.5
+"""A parameter is not identified when its standard deviation exceeds this share of its
+size, or of its scale where that is larger."""
+
+
+BLIND = 1e-10
+"""Eigenvalue of the scaled curvature below which a direction is not seen at all."""
+UNTOLD = 1e3
+"""Standard deviation, in units of the scales, given to such a direction."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Standard deviations (SI) of the free parameters inside their range, and words.
+
+    `std` by name, None at an end of the range; `vague` names those not identified;
+    `limits` says in sentences what is at a range's end, and which combination of the
+    vague ones the logs do tell. `covariance` [n, n] is of the parameters `inside`, SI;
+    `profiles` the 95 % intervals by profile likelihood, where they were asked for.
+    """
+
+    std: dict[str, float | None]
+    ends: frozenset[str]
+    vague: tuple[str, ...]
+    limits: tuple[str, ...]
+    inside: tuple[str, ...]
+    covariance: np.ndarray
+    profiles: Mapping[str, Interval] = field(default_factory=dict)
+
+
+def estimate_uncertainty(
+    problem: Problem, point: Point, free: Sequence[str]
+) -> Uncertainty:
+    """What the logs say of the free parameters at a fit.
+
+    The covariance is `H^-1 (sum of s s^T) H^-1` over windows as clusters (s a window's
+    score), so it holds when residuals are correlated inside a window or above the
+    noise; times W/(W - k) for the fitted parameters. Priors count in H.
+    """
+    names = problem.model.names
+    gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
+    inside: list[str] = []
+    ends: dict[str, str] = {}
+    for name in free:
+        value, f = point.values[names.index(name)], problem.free[name]
+        slack = 1e-9 * max(abs(f.lower), abs(f.upper))
+        if value <= f.lower + slack:
+            ends[name] = "lower"
+        elif value >= f.upper - slack:
+            ends[name] = "upper"
+        else:
+            inside.append(name)
+    columns = np.array([names.index(n) for n in inside], dtype=int)
+    scale = problem.model.scale[columns]
+    covariance, H = _covariance(problem, gram, inside, columns)
+    std: dict[str, float | None] = {name: None for name in free}
+    vague: list[str] = []
+    for i, name in enumerate(inside):
+        s = float(np.sqrt(max(covariance[i, i], 0.0))) * scale[i]
+        std[name] = s
+        size = max(abs(point.values[columns[i]]), 0.1 * scale[i])
+        if not np.isfinite(s) or s > VAGUE * size:
+            vague.append(name)
+        if s > 0.01 * UNTOLD * scale[i]:
+            std[name] = None
+    limits = [_at_end(name, end) for name, end in ends.items()]
+    if vague:
+        limits += _in_words(vague, inside, H)
+    return Uncertainty(
+        std,
+        frozenset(ends),
+        tuple(vague),
+        tuple(limits),
+        tuple(inside),
+        covariance * np.outer(scale, scale),
+    )
+
+
+def curvature(
+    problem: Problem, point: Point, free: Sequence[str]
+) -> tuple[np.ndarray, list[str]]:
+    """Curvature [k, k] of the fit in units of the scales, priors counted, and names."""
+    names = problem.model.names
+    gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
+    columns = np.array([names.index(n) for n in free], dtype=int)
+    return _covariance(problem, gram, list(free), columns)[1], list(free)
+
+
+def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance and curvature, [k, k], in units of the scales."""
+    r = gram.shape[1] - 1
+    H = gram.sum(axis=0)[np.ix_(columns, columns)]
+    for i, name in enumerate(inside):
+        prior = problem.free[name].prior
+        if prior:
+            H[i, i] += (problem.model.scale[columns[i]] / prior) ** 2
+    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    values, vectors = np.linalg.eigh(H / np.outer(size, size))
+    told = values > BLIND
+    strong = (vectors[:, told] / values[told]) @ vectors[:, told].T
+    strong /= np.outer(size, size)
+    s = gram[:, columns, r]
+    windows = int(np.count_nonzero(np.any(s != 0, axis=1)))
+    few = windows / max(windows - len(columns), 1)
+    # A direction that no residual sees has no scores either.
+    nothing = vectors[:, ~told] @ vectors[:, ~told].T * UNTOLD**2
+    return strong @ (few * s.T @ s) @ strong + nothing, H
+
+
+def _at_end(name: str, end: str) -> str:
+    return (
+        f"{name} ended at the {end} end of its range: the logs would rather have it "
+        "beyond; no standard deviation holds there"
+    )
+
+
+def _in_words(vague: list[str], inside: list[str], H: np.ndarray) -> list[str]:
+    """Which parameters the logs do not tell, and with what they trade."""
+    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    values, vectors = np.linalg.eigh(H / np.outer(size, size))
+    out = []
+    for name in vague:
+        i = inside.index(name)
+        if size[i] < 1e-6 * size.max():
+            out.append(f"{name} is not identified: these logs hardly show it at all")
+            continue
+        weak = vectors[:, 0]
+        partners: list[str] = [
+            inside[j] for j in np.argsort(-np.abs(weak))[:3] if abs(weak[j]) > 0.2
+        ]
+        others = [p for p in partners if p != name]
+        if values[0] < 0.05 and others and abs(weak[i]) > 0.2:
+            out.append(
+                f"{name} is not identified by itself: the logs tell only a combination "
+                f"of it with {' and '.join(others)}"
+            )
+        else:
+            out.append(f"{name} is not identified: its spread exceeds half its size")
+    return out

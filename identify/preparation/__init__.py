@@ -1,0 +1,1 @@
+"""From logs to the windows that a fit replays."""

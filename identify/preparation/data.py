@@ -1,0 +1,226 @@
+"""From logs to what the replay runs on: motion, windows, first guesses, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrojax.errors import InputError
+from hydrojax.identify.preparation.noise import (
+    channel_noise,
+    force_areas,
+    supply_noise_of,
+)
+from hydrojax.identify.preparation.segments import common_band, segment
+from hydrojax.identify.preparation.windows import (
+    LEAD,
+    PRE,
+    SETTLE,
+    cut,
+    motion,
+    spread,
+    starts_in,
+)
+from hydrojax.logs.log import Log
+from hydrojax.plant.replay import Motion, Windows
+from hydrojax.rigfile.schema import RigFile
+
+SLOWEST = 0.05
+"""s between rows up to which a command is replayed: a chamber settles in far less."""
+
+FEWEST = 20
+"""Rows that a stretch without gaps has to have more than."""
+
+MOST_TICKS = 80_000
+"""Ticks that a fit or a check takes in: more only cost time."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """Logs made ready.
+
+    Attributes:
+        motion: see `Motion`; S segments.
+        windows: see `Windows`; W windows.
+        P_0: [W, 2] first guess of the pressures at each window's first tick, Pa.
+        log: [W] which log each window comes from.
+        noise: [3] standard deviation of each channel's noise, SI; inf if not compared.
+        supply_noise: standard deviation of the measured P_s, Pa; 0 if not measured.
+        driven_by: `u`, or what else drives the replay.
+        band: Hz up to which acceleration (and, without u, speed and force) is taken.
+        travel: range of x that is compared, m.
+        areas: on which the two pressures push, m^2.
+        notes: one-line remarks for the report.
+    """
+
+    motion: Motion
+    windows: Windows
+    P_0: np.ndarray
+    log: np.ndarray
+    noise: np.ndarray
+    supply_noise: float
+    driven_by: str
+    band: float
+    travel: tuple[float, float]
+    areas: tuple[float, float]
+    notes: tuple[str, ...]
+
+
+def prepare(
+    logs: Sequence[Log],
+    spec: RigFile,
+    horizon: float = 0.25,
+    noise: np.ndarray | None = None,
+    sign: float = 1.0,
+    band: float | None = None,
+) -> Data:
+    """Make logs ready for a replay of the rig.
+
+    Args:
+        logs: as `read_log` gives them, all with the same signals.
+        spec: the rig they were recorded on.
+        horizon: length of a window, s.
+        noise: [3] to be used, or None to take the rig file's or estimate it.
+        sign: -1 turns the motion round.
+        band: Hz up to which acceleration is taken; None to find it.
+
+    Raises:
+        InputError: no motion, nothing to predict, logs that differ in their signals,
+            or no stretch long enough for a window.
+    """
+    if not 0 < horizon < 1e4:
+        raise InputError(f"--horizon {horizon}: give the length of a window in seconds")
+    driven_by = driver(logs, spec)
+    notes = [f"{log.name}: {note}" for log in logs for note in log.notes]
+    if band is None:
+        band = common_band(logs, spec, driven_by)
+    if np.isfinite(band):
+        what = {"u": "it is", "P": "speed, acceleration and force are"}.get(
+            driven_by, "speed and acceleration are"
+        )
+        notes.append(
+            f"above {band:.0f} Hz acceleration would be noise of the position: {what} "
+            "taken below that"
+        )
+    rows = [
+        (i, slice(*own))
+        for i, log in enumerate(logs)
+        for own in log.segments
+        if own[1] - own[0] > FEWEST
+    ]
+    if not rows:
+        raise InputError(
+            f"{logs[0].name}: no stretch without gaps has over {FEWEST} rows"
+        )
+    h = float(np.median(np.concatenate([np.diff(logs[i].time[r]) for i, r in rows])))
+    if driven_by == "u" and h > SLOWEST:
+        raise InputError(
+            f"{logs[0].name}: a row every {h:.3g} s is too slow to replay what the "
+            f"valve does: log at {1 / SLOWEST:.0f} Hz or more, or take u out of the log"
+        )
+    T = max(int(round(horizon / h)), 8)
+    pre, lead = (PRE, LEAD) if driven_by == "u" else (1, min(LEAD, int(0.3 / h)))
+    n = max(1, int(np.ceil(h / 1.5e-3))) if driven_by == "u" else 1
+    starts = [starts_in(logs[i].time[r], T, pre, lead) for i, r in rows]
+    count, most = sum(map(len, starts)), max(MOST_TICKS // (lead + T), 1)
+    if count == 0:
+        raise InputError(
+            f"{logs[0].name}: no stretch without gaps is longer than "
+            f"{SETTLE / 2 + (pre + lead + T) * h:.2g} s: give a longer log or a "
+            "shorter --horizon"
+        )
+    if count > most:
+        rows, starts = spread(rows, starts, most, lead + T)
+        notes.append(
+            f"{sum(map(len, starts))} windows of {count}, in runs spread evenly, were "
+            "used: the logs hold more than a fit needs"
+        )
+    segments = [segment(i, logs[i], spec, r, driven_by, sign, band) for i, r in rows]
+    cuts = [(k, first) for k, own in enumerate(starts) for first in own]
+    windows, P_0 = cut(segments, cuts, T, pre, lead, n)
+    travel = (float(windows.x.min()), float(windows.x.max()))
+    if noise is None:
+        noise = channel_noise(logs, spec, driven_by)
+    return Data(
+        motion=motion(segments, h),
+        windows=windows,
+        P_0=P_0,
+        log=np.array([segments[k].log for k, _ in cuts]),
+        noise=noise,
+        supply_noise=supply_noise_of(logs, spec),
+        driven_by=driven_by,
+        band=band,
+        travel=travel,
+        areas=force_areas(spec),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def driver(logs: Sequence[Log], spec: RigFile) -> str:
+    """What drives the replay: `u`, the pressures, or `P`.
+
+    Raises:
+        InputError: nothing to predict, or logs that differ in their signals.
+    """
+    has = set(logs[0].signals)
+    for log in logs[1:]:
+        if set(log.signals) - {"F_d"} != has - {"F_d"}:
+            odd = sorted((set(log.signals) ^ has) - {"F_d"})
+            raise InputError(
+                f"{log.name}: columns differ from {logs[0].name} ({', '.join(odd)}): "
+                "logs that are fitted together need the same signals"
+            )
+    pressures = {"P_a2"} if spec.layout == "single" else {"P_a1", "P_a2"}
+    force = "F" in has or "F" in spec.load
+    name = logs[0].name
+    if spec.layout == "driven-axis":
+        if "P" not in has:
+            raise InputError(f"{name}: a driven-axis needs the drive force: P [N]")
+        driver = "P"
+    elif "u" in has:
+        if not (pressures & has) and not force:
+            raise InputError(
+                f"{name}: nothing to predict: give P_a1 [Pa], P_a2 [Pa] or F [N]"
+            )
+        return "u"
+    elif pressures <= has:
+        driver = "pressures"
+    elif "P" in has:
+        driver = "P"
+    else:
+        raise InputError(
+            f"{name}: nothing drives the replay: give u [V], or "
+            f"{' and '.join(f'{p} [Pa]' for p in sorted(pressures))}"
+        )
+    if not force:
+        raise InputError(
+            f"{name}: nothing to predict: without u the pressures drive, and F is "
+            'missing: give F [N], or F = "0 N" under [load] for a free axis'
+        )
+    return driver
+
+
+def runs_backward(data: Data) -> bool:
+    """Whether friction, as logged, drives the motion: x against the rig's sign.
+
+    Where the pressures drive the replay, P - F is larger in positive motion than in
+    negative motion, since friction brakes.
+    """
+    if data.driven_by == "u" or not np.isfinite(data.noise[2]):
+        return False
+    w = data.windows
+    lead = w.x.shape[1] - w.scored
+    v = np.asarray(w.v[:, lead:])
+    drive = data.areas[1] * w.P_a2[:, lead:] - data.areas[0] * w.P_a1[:, lead:]
+    loss = np.asarray(drive - w.measured[..., 2])
+    fast = np.abs(v) > 0.3 * np.std(v)
+    falls = []
+    for log in np.unique(data.log):
+        own = data.log == log
+        f, up = loss[own][fast[own]], v[own][fast[own]] > 0
+        if up.all() or not up.any():
+            return False
+        falls.append(np.median(f[up]) - np.median(f[~up]))
+    return bool(np.all(np.array(falls) < -5 * data.noise[2]))

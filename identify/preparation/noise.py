@@ -1,0 +1,202 @@
+"""What a log's own noise is, and the band in which motion can be differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import interpolate, signal
+
+from hydrojax.logs.log import Log
+from hydrojax.plant.rig import bare_rig
+from hydrojax.rigfile.schema import RigFile
+
+FLAT = 1.5
+"""How much a spectrum's last fifth may fall below its middle and still be a floor."""
+
+CHANNELS = ("P_a1", "P_a2", "F")
+"""What a replay can predict, in the order of `Windows.measured`."""
+
+
+QUIET = {"u": 0.1, "pressures": 0.005, "P": 0.001}
+"""Share of the acceleration that may be noise of the position, by what drives. Where
+u drives, only acceleration is taken in that band; where P does, force is compared in
+it, and elsewhere speed and acceleration are."""
+
+
+SLOWEST = 20.0
+"""Hz below which motion is always followed: friction turns round that fast."""
+
+
+def estimate_noise(y: np.ndarray) -> float:
+    """Standard deviation of white noise on a smooth signal, in the unit of `y`.
+
+    Sixth differences remove what is smooth; the median of their size is robust to
+    jumps. Not below what rounding to the signal's own resolution makes.
+    """
+    weights = np.array([1, -6, 15, -20, 15, -6, 1.0])
+    d = np.convolve(y, weights, "valid") / np.sqrt(np.sum(weights**2))
+    steps = np.diff(np.unique(y))
+    resolution = np.min(steps[steps > 1e-12 * np.ptp(y)], initial=np.ptp(y))
+    return float(max(np.median(np.abs(d)) / 0.6745, resolution / np.sqrt(12)))
+
+
+def motion_band(t: np.ndarray, x: np.ndarray, quiet: float) -> float | None:
+    """Frequency (Hz) up to which acceleration can be had from a position, or None.
+
+    The spectrum of a position falls until it meets the flat floor of its noise, which
+    acceleration raises with the fourth power of frequency. The band is where noise
+    brings at most the share `quiet` of the acceleration that stands clear of it; None
+    if that is all of it.
+    """
+    h = float(np.median(np.diff(t)))
+    even = np.interp(np.arange(t[0], t[-1], h), t, x)
+    f, power = signal.welch(even, 1 / h, nperseg=min(2048, even.size), detrend="linear")
+    floor = np.median(power[f > 0.7 * f[-1]])
+    rise = (2 * np.pi * f) ** 4
+    step = f[1]
+    clear = power > 10 * floor
+    size = np.sum((power * rise)[clear]) * step
+    noise = np.cumsum(floor * rise) * step
+    below = np.nonzero(noise <= quiet**2 * size)[0]
+    cut = float(f[below[-1]]) if below.size else float(f[1])
+    cut = max(cut, SLOWEST)
+    return None if cut > 0.4 / h else cut
+
+
+def smooth(t: np.ndarray, y: np.ndarray, cut: float) -> interpolate.BSpline:
+    """A smoothing spline that passes what is below `cut` Hz; ticks may be uneven.
+
+    Its response is 1/(1 + (f/cut)^4), without phase.
+    """
+    h = float(np.median(np.diff(t)))
+    return interpolate.make_smoothing_spline(t, y, lam=1 / (h * (2 * np.pi * cut) ** 4))
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """The noise of a measured signal that drives a replay; SI.
+
+    Attributes:
+        sigma: its standard deviation, as far as it is white.
+        step: between the values that the sensor gives, where that makes the noise; 0
+            where it does not.
+        cut: Hz at which a smoothing spline errs least; inf if smoothing does not pay.
+    """
+
+    sigma: float
+    step: float
+    cut: float
+
+    def smoothed(self, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """The signal as near to the truth as smoothing brings it."""
+        return smooth(t, y, self.cut)(t) if np.isfinite(self.cut) else y
+
+    def again(self, y: np.ndarray, seed: int = 0) -> np.ndarray:
+        """The signal measured once more by such a sensor."""
+        draw = np.random.default_rng(seed)
+        if self.step:
+            offset = draw.uniform()
+            return (np.round(y / self.step + offset) - offset) * self.step
+        return y + self.sigma * draw.normal(size=y.size)
+
+
+def sensor_noise_of(
+    pieces: Iterable[tuple[np.ndarray, np.ndarray]],
+) -> SensorNoise | None:
+    """A signal's noise, the median over pieces (time, signal) of some rows; None where
+    their spectra have no floor.
+    """
+    found = [b for t, y in pieces if (b := _sensor_noise(t, y))]
+    if not found:
+        return None
+    sigma = float(np.median([b.sigma for b in found]))
+    cut = float(np.median([b.cut for b in found]))
+    steps = [b.step for b in found if b.step]
+    step = float(np.median(steps)) if 2 * len(steps) > len(found) else 0.0
+    return SensorNoise(sigma, step, cut)
+
+
+def _sensor_noise(t: np.ndarray, y: np.ndarray) -> SensorNoise | None:
+    if np.ptp(y) == 0:
+        return None
+    # Moved to even times along its own slope: interpolating would smooth the noise.
+    h = (t[-1] - t[0]) / (t.size - 1)
+    slope = signal.savgol_filter(y, 11, 2, deriv=1) / h
+    even = y + slope * (t[0] + h * np.arange(t.size) - t)
+    size = min(2048, max(y.size // 4, 16))
+    f, power = signal.welch(even, 1 / h, nperseg=size, detrend="linear")
+    end = f[-1]
+    floor = float(np.median(power[f > 0.8 * end]))
+    if floor <= 0 or np.median(power[(f > 0.4 * end) & (f < 0.6 * end)]) > FLAT * floor:
+        return None
+    sigma = np.sqrt(floor * end)
+    # Least squares: what smoothing takes off the signal, and leaves of the noise.
+    cuts = f[2 : int(0.8 * f.size)]
+    passes = 1 / (1 + (f / cuts[:, None]) ** 4)
+    clear = np.maximum(power - floor, 0.0)
+    cost = (1 - passes) ** 2 @ clear + floor * np.sum(passes**2, axis=1)
+    best = int(np.argmin(cost))
+    cut = float(cuts[best]) if best < cuts.size - 1 else np.inf
+    steps = np.diff(np.unique(y))
+    step = float(np.min(steps[steps > 1e-12 * np.ptp(y)]))
+    return SensorNoise(
+        float(sigma), step if step / np.sqrt(12) > 0.5 * sigma else 0.0, cut
+    )
+
+
+def channel_noise(logs: Sequence[Log], spec: RigFile, driven_by: str) -> np.ndarray:
+    """Noise of each channel, from the rig file or the logs; inf where not compared."""
+    out = np.full(3, np.inf)
+    for c, name in enumerate(CHANNELS):
+        if name != "F" and driven_by != "u":
+            continue
+        if name != "F" and name not in logs[0].signals:
+            continue
+        if name == "F" and "F" not in logs[0].signals and "F" not in spec.load:
+            continue
+        if name in spec.sensors:
+            out[c] = spec.sensors[name]
+        else:
+            out[c] = _estimated(logs, spec, name, driven_by)
+    return out
+
+
+def supply_noise_of(logs: Sequence[Log], spec: RigFile) -> float:
+    """Noise of the measured supply pressure, Pa; 0 where the logs have none."""
+    if "P_s" not in logs[0].signals:
+        return 0.0
+    if "P_s" in spec.sensors:
+        return spec.sensors["P_s"]
+    return level(logs, "P_s")
+
+
+def force_areas(spec: RigFile) -> tuple[float, float]:
+    """Areas on which P_a1 and P_a2 push, m^2; see `bare_rig`."""
+    rig = bare_rig(spec.layout, spec.geometry)
+    return float(rig.force_area_1), float(rig.force_area_2)
+
+
+def level(logs: Sequence[Log], name: str) -> float:
+    """Noise of one signal over the logs' whole stretches, in its own unit."""
+    each = [
+        estimate_noise(log.signals[name][slice(*rows)])
+        for log in logs
+        for rows in log.segments
+        if np.ptp(log.signals[name][slice(*rows)]) > 0
+    ]
+    return float(np.median(each)) if each else 0.0
+
+
+def _estimated(logs, spec, name, driven_by) -> float:
+    """Noise of a channel from the logs; with what the drive brings into a force."""
+    has = logs[0].signals
+
+    out = level(logs, name) if name in has else 0.0
+    if name == "F" and (driven_by != "u" or "F" not in has):
+        areas = dict(zip(("P_a1", "P_a2"), force_areas(spec), strict=True))
+        for drive, area in {**areas, "P": 1.0}.items():
+            if drive in has and area > 0:
+                out = float(np.hypot(out, area * level(logs, drive)))
+    return out

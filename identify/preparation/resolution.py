@@ -1,0 +1,244 @@
+"""What drives a replay and is measured coarsely: its noise taken off as far as it goes,
+and what is left of it counted into the noise of the channels.
+
+Oil and bristle answer a micrometre of the piston by some 10 kPa and 20 N. The paper's
+encoder resolves 0.06 um; one of 17 bits, or a potentiometer, some microns. Pressures
+and force are then foreseen worse than they are measured, and a trace would find effects
+that are the sensor's. So it is with pressures that drive: a lag smooths their noise,
+and would be taken for one of the load cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from hydrojax.identify.estimation.coupled import answer
+from hydrojax.identify.estimation.fit import fit as fit_all
+from hydrojax.identify.estimation.problem import (
+    Problem,
+    batch_of,
+    free_parameters,
+    in_play,
+)
+from hydrojax.identify.preparation.data import FEWEST, Data
+from hydrojax.identify.preparation.noise import (
+    CHANNELS,
+    SensorNoise,
+    force_areas,
+    level,
+    sensor_noise_of,
+)
+from hydrojax.logs.log import Log
+from hydrojax.plant.rig import Rig
+from hydrojax.rigfile.build import make_effects, make_rig
+from hydrojax.rigfile.recording import position
+from hydrojax.rigfile.schema import RigFile
+
+BENT = 4.0
+"""Times what the fitted rig says that the rig as the file has it may say."""
+
+COUNTS = 0.3
+"""Share of a channel's noise that what drives must bring to be dealt with."""
+
+
+Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """Logs with what drives them as good as it gets, and those to fit made ready, with
+    what is left of its noise in that of the channels.
+    """
+
+    logs: tuple[Log, ...]
+    fit: Data
+    notes: tuple[str, ...] = ()
+
+
+Ready = Callable[[Sequence[Log], np.ndarray], Data]
+"""What makes logs ready, with a noise of the channels [3], SI."""
+
+
+def resolve(
+    logs: tuple[Log, ...], count: int, spec: RigFile, fit: Data, ready: Ready
+) -> Resolved:
+    """Smooth what drives the logs where its noise shows in what is replayed.
+
+    That is the position where u drives, or the pressures where they do; a log that P
+    drives is compared in a band of its own already.
+
+    Args:
+        logs: all of them; the first `count` are to be fitted, the others take no part
+            but for how noisy they are.
+        count: see `logs`.
+        spec: the rig they were recorded on.
+        fit: what the logs to fit gave as they are.
+        ready: see `Ready`.
+    """
+    found = None
+    if fit.driven_by == "u":
+        found = _position(logs, count, spec, fit, ready)
+    elif fit.driven_by == "pressures":
+        found = _drive(logs, spec)
+    if found is None:
+        return Resolved(logs, fit)
+    smoothed, noise, note = found
+    return Resolved(smoothed, ready(smoothed[:count], noise), (note,))
+
+
+Calmed = tuple[tuple[Log, ...], np.ndarray, str]
+"""Logs with what drives smoothed, the channels' noise [3] with it, SI, and a remark."""
+
+
+def _position(
+    logs: tuple[Log, ...], count: int, spec: RigFile, fit: Data, ready: Ready
+) -> Calmed | None:
+    """Smooth the position; None where its noise does not show."""
+    noise = fit.noise
+    sensor_noise = sensor_noise_of(_stretches(logs, lambda log: position(log, spec)))
+    rig = make_rig(spec, make_effects(spec.effects, spec, fit.travel))
+    if sensor_noise is None or not _matters(sensor_noise, rig, fit):
+        return None
+    smoothed = tuple(_moved(log, spec, sensor_noise.smoothed) for log in logs)
+    again = [_moved(log, spec, partial(_again, sensor_noise)) for log in smoothed]
+
+    def problem_of(data: Data) -> Problem:
+        return Problem.of(rig, free_parameters(spec), data)
+
+    one, other = ready(smoothed, noise), ready(again, noise)
+
+    def brought(values: np.ndarray) -> np.ndarray:
+        left = [problem_of(data).residuals_at(values) for data in (one, other)]
+        return _largest(left[1] - left[0], one.log)
+
+    # How far the position moves the channels depends on what the rig is: that of the
+    # file may be off, and one that is fitted without what it lacks may be bent.
+    start = problem_of(one).initial_values()
+    extra = brought(start)
+    if not np.isfinite(extra[np.isfinite(noise)]).all():
+        return None  # the fit will say that the model has no finite answer
+    data = ready(smoothed[:count], np.hypot(noise, extra))
+    problem = problem_of(data)
+    _, point = fit_all(problem, start, in_play(problem, data))
+    found = brought(point.values)
+    found = np.where(np.isfinite(found), found, extra)
+    extra = np.clip(extra, found, BENT * found)
+    moves = ", ".join(
+        f"{name} by {size / per:.2g} {unit}"
+        for name, size, per, unit in zip(
+            CHANNELS, extra, (1e3, 1e3, 1.0), ("kPa", "kPa", "N"), strict=True
+        )
+        if np.isfinite(noise[CHANNELS.index(name)])
+    )
+    note = (
+        f"the position is known to {1e6 * sensor_noise.sigma:.2g} um: "
+        f"{_said(sensor_noise)} what is "
+        f"left of its noise moves {moves} RMS, which is counted into their noise"
+    )
+    return smoothed, np.hypot(noise, extra), note
+
+
+def _drive(logs: tuple[Log, ...], spec: RigFile) -> Calmed | None:
+    """Smooth pressures that drive; None where their noise does not show in F."""
+    has = logs[0].signals
+    own = spec.sensors.get("F", level(logs, "F") if "F" in has else 0.0)
+    areas: dict[str, float] = dict(
+        zip(("P_a1", "P_a2"), force_areas(spec), strict=True)
+    )
+    blurs: dict[str, SensorNoise] = {}
+    for name in (n for n in areas if n in has and areas[n] > 0):
+        pieces = _stretches(logs, lambda log, name=name: log.signals[name])
+        if sensor_noise := sensor_noise_of(pieces):
+            blurs[name] = sensor_noise
+    if np.linalg.norm([areas[n] * b.sigma for n, b in blurs.items()]) <= COUNTS * own:
+        return None
+    silent = [n for n in areas if n in has and n not in blurs]
+    square = own**2 + sum((areas[n] * level(logs, n)) ** 2 for n in silent)
+    for name, sensor_noise in blurs.items():
+        logs = tuple(_smoothed(log, name, sensor_noise.smoothed) for log in logs)
+        again = (_smoothed(log, name, partial(_again, sensor_noise)) for log in logs)
+        off = [
+            np.sqrt(np.mean((b - a) ** 2))
+            for (_, a), (_, b) in zip(
+                _stretches(logs, lambda log, name=name: log.signals[name]),
+                _stretches(tuple(again), lambda log, name=name: log.signals[name]),
+                strict=True,
+            )
+        ]
+        square += (areas[name] * max(off)) ** 2
+    known = ", ".join(f"{n} by {b.sigma / 1e3:.2g} kPa" for n, b in blurs.items())
+    note = (
+        f"the pressures drive, and are noisy ({known}): "
+        f"{_said(min(blurs.values(), key=lambda b: b.cut))} what is left moves F by "
+        f"{np.sqrt(square - own**2):.2g} N RMS, which is counted into its noise"
+    )
+    return logs, np.array([np.inf, np.inf, np.sqrt(square)]), note
+
+
+def _said(sensor_noise: SensorNoise) -> str:
+    if np.isinf(sensor_noise.cut):
+        return "smoothing would not help;"
+    return f"smoothed above {sensor_noise.cut:.0f} Hz;"
+
+
+def _smoothed(log: Log, name: str, change: Change) -> Log:
+    """The log with one of its signals changed."""
+    values = _changed(log, log.signals[name], change)
+    return replace(log, signals={**log.signals, name: values})
+
+
+def _stretches(
+    logs: Sequence[Log], values: Callable[[Log], np.ndarray]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Time and a signal in every stretch without gaps."""
+    for log in logs:
+        y = values(log)
+        for start, stop in log.segments:
+            if stop - start > FEWEST:
+                yield log.time[start:stop], y[start:stop]
+
+
+def _again(sensor_noise: SensorNoise, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A calmed signal measured once more by such a sensor, and calmed again.
+
+    Beside it as it is, this shows what noise is left, and what smoothing takes off.
+    """
+    return sensor_noise.smoothed(t, sensor_noise.again(y))
+
+
+def _matters(sensor_noise: SensorNoise, rig: Rig, data: Data) -> bool:
+    """Whether what the position brings once smoothed shows beside a channel's noise, by
+    the rig's declared values.
+    """
+    h = float(np.median(data.motion.h))
+    left = sensor_noise.sigma * np.sqrt(min(2 * sensor_noise.cut * h, 1.0))
+    return bool(np.any(left * answer(rig, batch_of(data)) > COUNTS * data.noise))
+
+
+def _largest(change: np.ndarray, log: np.ndarray) -> np.ndarray:
+    """RMS by channel, [3], of [W, T, 3], in that of the logs where it is largest."""
+    square = np.mean(change**2, axis=1)
+    return np.sqrt(np.max([square[log == i].mean(0) for i in np.unique(log)], axis=0))
+
+
+def _moved(log: Log, spec: RigFile, change: Change) -> Log:
+    """The log with its position changed, m."""
+    key = "x" if "x" in log.signals else "psi"
+    zero = spec.geometry.get("x_mid", 0.0) if key == "x" else 0.0
+    radius = 1.0 if key == "x" else spec.geometry["radius"]
+    x = _changed(log, position(log, spec), change)
+    return replace(log, signals={**log.signals, key: (x + zero) / radius})
+
+
+def _changed(log: Log, y: np.ndarray, change: Change) -> np.ndarray:
+    """A log's signal changed in every stretch: `change(t, y)`."""
+    y = y.copy()
+    for start, stop in log.segments:
+        if stop - start > FEWEST:
+            own = slice(start, stop)
+            y[own] = change(log.time[own], y[own])
+    return y

@@ -1,0 +1,113 @@
+"""A log's stretches without gaps: position as a spline, speed and acceleration in the
+band where they are no noise, everything else at its ticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import interpolate
+from scipy.signal import savgol_filter
+
+from hydrojax.identify.preparation.noise import QUIET, motion_band, smooth
+from hydrojax.logs.log import Log
+from hydrojax.rigfile.recording import position
+from hydrojax.rigfile.schema import RigFile
+
+SMOOTH = 15
+"""Ticks over which a logged force is smoothed before it stretches anything: flat to
+some 40 Hz on a log at 1 kHz."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One segment's signals at its ticks, all SI; see `Windows` for the names.
+
+    `place` gives the position between ticks.
+    """
+
+    log: int
+    origin: float  # when the log began
+    t: np.ndarray
+    place: interpolate.BSpline
+    v: np.ndarray
+    a: np.ndarray
+    u: np.ndarray
+    P_s: np.ndarray
+    P_r: np.ndarray
+    P: np.ndarray  # [n, 2] as logged
+    F: np.ndarray
+    smoothed: np.ndarray  # F for what it stretches
+
+
+def common_band(logs: Sequence[Log], spec: RigFile, driven_by: str) -> float:
+    """The narrowest of the logs' bands, Hz; inf if none is needed."""
+    bands = [
+        motion_band(
+            log.time[slice(*rows)], position(log, spec)[slice(*rows)], QUIET[driven_by]
+        )
+        for log in logs
+        for rows in log.segments
+    ]
+    return min((b for b in bands if b is not None), default=np.inf)
+
+
+def segment(
+    i: int,
+    log: Log,
+    spec: RigFile,
+    rows: slice,
+    driven_by: str,
+    sign: float,
+    band: float,
+) -> Segment:
+    """The signals of a log's rows, motion turned round by `sign` and cut at `band` Hz.
+
+    `i` is the log's place among those that are made ready.
+    """
+    t, x = log.time[rows], sign * position(log, spec)[rows]
+    get = {k: v[rows] for k, v in log.signals.items()}
+    zero = np.zeros(t.size)
+    F = get.get("F", zero + spec.load.get("F", np.nan))
+    supply = {k: get.get(k, zero + v) for k, v in spec.line.items()}
+    # Where u drives a log without pressures, they start midway: a first guess.
+    middle = (supply["P_s"] + supply["P_r"]) / 2 if "u" in get else zero
+    P = np.stack([get.get("P_a1", middle), get.get("P_a2", middle)], axis=1)
+    if "P" in get and "P_a2" not in get:
+        P = np.stack([zero, get["P"]], axis=1)
+    place = interpolate.make_interp_spline(t, x, k=5)
+    v, a = place(t, 1), place(t, 2)
+    if np.isfinite(band):
+        smoothed = smooth(t, x, band)
+        # Speed is less rough than acceleration: it is followed an octave further.
+        a, v = smoothed(t, 2), smooth(t, x, 2 * band)(t, 1)
+        if "u" not in get:
+            # Displacement stays as it is, for the bristle.
+            place, v = interpolate.make_interp_spline(t, x, k=1), smoothed(t, 1)
+        if driven_by == "P":
+            # An axis driven by a force is mostly inertia: compared in its band.
+            P = np.stack([smooth(t, p, band)(t) for p in P.T], axis=1)
+            F = smooth(t, F, band)(t) if np.ptp(F) > 0 else F
+    return Segment(
+        log=i,
+        origin=float(log.time[0]),
+        t=t,
+        place=place,
+        v=v,
+        a=a,
+        u=get.get("u", zero),
+        P_s=supply["P_s"],
+        P_r=supply["P_r"],
+        P=P,
+        F=F,
+        smoothed=_smoothed(F),
+    )
+
+
+def _smoothed(F: np.ndarray) -> np.ndarray:
+    """A measured force without most of its noise, which what gives would follow."""
+    if not np.isfinite(F).all():
+        return np.zeros(F.size)
+    return np.asarray(savgol_filter(F, SMOOTH, 3))

@@ -1,0 +1,156 @@
+"""Where windows begin, and what each of them and friction's replay are given."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+
+from hydrojax.identify.preparation.segments import Segment
+from hydrojax.plant.replay import Motion, Windows
+
+PRE = 60
+"""Ticks of command ahead of a window, for whatever on its path has memory."""
+
+COARSE, EACH = 40, 5
+"""Steps ahead of those, and their ticks: a spool that slews slowly remembers longer
+than it need be known tick by tick."""
+
+LEAD = 20
+"""Ticks at the head of a window that are run but not compared."""
+
+SETTLE = 1.0
+"""Seconds at the head of a segment that no window takes: what bristle, filtered speed
+and film start from is unknown. Half of it in segments under `SHORT` seconds."""
+
+SHORT = 5.0
+
+RUN = 20
+"""Windows that follow each other where only some of a log's are taken: friction is
+followed through them, and through the seconds ahead, so that memory does not grow with
+the length of the log."""
+
+QUARTERS = 4
+"""Steps of the bristle per tick."""
+
+
+def starts_in(t: np.ndarray, T: int, pre: int, lead: int) -> range:
+    """First ticks (of the lead) of the windows that tile a segment with times `t`."""
+    settle = SETTLE if t[-1] - t[0] > SHORT else SETTLE / 2
+    settled = int(np.searchsorted(t, t[0] + settle))
+    begin = max(settled - lead, pre)
+    return range(begin, t.size - lead - T + 1, T)
+
+
+def spread(
+    rows: list[tuple[int, slice]], starts: list[range], most: int, size: int
+) -> tuple[list[tuple[int, slice]], list[range]]:
+    """Runs of windows spread evenly, each a stretch with what it needs ahead of it.
+
+    `rows` and `starts` are the segments' and their windows'; about `most` windows of
+    `size` ticks are kept.
+    """
+    blocks = [
+        (k, own[j : j + RUN])
+        for k, own in enumerate(starts)
+        for j in range(0, len(own), RUN)
+    ]
+    count = max(int(most / np.mean([len(own) for _, own in blocks])), 1)
+    even = np.linspace(0, len(blocks) - 1, min(count, len(blocks)))
+    kept_rows, kept = [], []
+    for k, own in (blocks[j] for j in even.round().astype(int)):
+        i, of = rows[k]
+        ahead = min(own[0], starts[k][0])
+        # A little beyond the last window, where a spline is at its end.
+        stop = min(of.start + own[-1] + size + LEAD, of.stop)
+        kept_rows.append((i, slice(of.start + own[0] - ahead, stop)))
+        kept.append(range(ahead, ahead + own[-1] - own[0] + 1, own.step))
+    return kept_rows, kept
+
+
+def motion(segments: list[Segment], h: float) -> Motion:
+    """What friction follows through whole segments, whose ticks last about `h` s."""
+    n = max(s.t.size for s in segments)
+    dx = np.zeros((len(segments), n - 1, QUARTERS))
+    ticks = np.full((len(segments), n - 1), h)
+    speed, v, F = np.zeros(len(segments)), np.zeros((len(segments), n)), []
+    for k, s in enumerate(segments):
+        step = np.diff(s.t)
+        parts = np.arange(QUARTERS + 1) / QUARTERS
+        x = s.place(s.t[:-1, None] + step[:, None] * parts)
+        dx[k, : step.size] = np.diff(x, axis=1)
+        ticks[k, : step.size] = step
+        first = np.abs(dx[k, : max(int(0.2 / h), 2)])
+        speed[k] = first.sum() / (first.shape[0] * h)
+        v[k, : s.t.size] = s.v
+        F.append(np.pad(s.smoothed, (0, n - s.t.size), mode="edge"))
+    return Motion(*(jnp.asarray(np.array(a)) for a in (dx, ticks, speed, v, F)))
+
+
+def _past(s: Segment, first: int, pre: int) -> tuple[np.ndarray, np.ndarray]:
+    """The command ahead of a window, coarse and then tick by tick, and its steps, s.
+
+    Ahead of the segment the command is taken to have stood where it began.
+    """
+    coarse = COARSE if pre == PRE else 0
+    near = first - pre
+    edges = np.maximum(near - EACH * np.arange(coarse, -1, -1), 0)
+    t, u = s.t[edges[0] : near + 1], s.u[edges[0] : near]
+    spent = np.diff(s.t[edges])
+    scenario = np.r_[0.0, np.cumsum(u * np.diff(t))][edges - edges[0]]
+    known = spent > 0
+    usual = EACH * float(s.t[near + 1] - s.t[near])
+    mean = np.where(known, np.diff(scenario) / np.where(known, spent, 1.0), s.u[0])
+    h = np.where(known, spent, usual)
+    steps = np.diff(s.t[near : first + 1])
+    return np.r_[mean, s.u[near:first]], np.r_[h, steps]
+
+
+def cut(
+    segments: list[Segment],
+    cuts: list[tuple[int, int]],
+    T: int,
+    pre: int,
+    lead: int,
+    n: int,
+) -> tuple[Windows, np.ndarray]:
+    """The windows, and a first guess [W, 2] of the pressures where each begins.
+
+    `cuts` are segments and first ticks there; a window has `lead + T`, each of `n`
+    substeps.
+    """
+    parts = np.arange(2 * n + 1) / (2 * n)
+    columns: dict[str, list] = {name: [] for name in Windows._fields}
+    P_0 = []
+    for k, first in cuts:
+        s = segments[k]
+        at = slice(first, first + lead + T)
+        t = s.t[at]
+        h = np.append(np.diff(t), t[-1] - t[-2])
+        fine = t[:-1, None] + h[:-1, None] * parts
+        near = slice(max(first - 8, 0), first + 9)
+        slope = np.polyfit(s.t[near] - t[0], s.P[near], 1)
+        P_0.append(slope[1])
+        before, before_h = _past(s, first, pre)
+        row = {
+            "seg": k,
+            "first": first,
+            "before": before,
+            "before_h": before_h,
+            "u": s.u[at],
+            "h": h,
+            "P_s": s.P_s[at],
+            "P_r": s.P_r[at],
+            "t": t - s.origin,
+            "x": s.place(t),
+            "v": s.v[at],
+            "a": s.a[at],
+            "F": s.smoothed[at],
+            "x_fine": s.place(fine),
+            "P_a1": s.P[at, 0],
+            "P_a2": s.P[at, 1],
+            "measured": np.column_stack([s.P[at], s.F[at]])[lead:],
+        }
+        for name, value in row.items():
+            columns[name].append(value)
+    windows = Windows(**{k: jnp.asarray(np.array(v)) for k, v in columns.items()})
+    return windows, np.array(P_0)

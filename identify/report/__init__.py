@@ -1,0 +1,1 @@
+"""A result as report.json, figures and one self-contained page."""

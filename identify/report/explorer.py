@@ -1,0 +1,108 @@
+"""The residual over time as a page zooms into it: envelopes as inline data."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+
+from hydrojax.identify.report.figures import AFTER, BAND, BEFORE
+from hydrojax.identify.report.residuals import compared, drawn, moved, reach
+from hydrojax.identify.results.outcome import Outcome, Series
+from hydrojax.report.text import engineering
+
+BYTES = 1_200_000
+"""What all residuals of a page may take; a log that fits is kept sample by sample."""
+STEPS = 32767
+"""Steps from zero to the largest value of a line; one further down is a gap."""
+
+
+def envelope(
+    t: np.ndarray, y: np.ndarray, start: float, step: float, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest `y`, [size] each, within half a `step` of each column.
+
+    Column i stands at `start + i step`, in the unit of `t` [n], which may hold NaN as
+    `y` [n] may; a column without a sample is NaN.
+    """
+    good = np.isfinite(t) & np.isfinite(y)
+    at = np.clip(np.floor((t[good] - start) / step + 0.5).astype(int), 0, size - 1)
+    low, high = np.full(size, np.inf), np.full(size, -np.inf)
+    np.minimum.at(low, at, y[good])
+    np.maximum.at(high, at, y[good])
+    empty = low > high
+    low[empty] = high[empty] = np.nan
+    return low, high
+
+
+def columns(t: np.ndarray, values: float) -> tuple[float, float, int]:
+    """Start, step (s) and number of the columns of a line that `values` may take.
+
+    The log's own ticks where they fit, else as many columns of two values.
+    """
+    real = t[np.isfinite(t)]
+    span = float(np.ptp(real))
+    ticks = np.diff(t)
+    tick = float(np.median(ticks[ticks > 0])) if (ticks > 0).any() else 1.0
+    every = round(span / tick) + 1
+    if every <= values:
+        return float(real.min()), tick, every
+    size = max(int(values / 2), 2)
+    return float(real.min()), span / (size - 1), size
+
+
+def _packed(y: np.ndarray, scale: float) -> str:
+    whole = np.where(np.isfinite(y), np.round(y / scale), -STEPS - 1)
+    return base64.b64encode(whole.astype("<i2").tobytes()).decode("ascii")
+
+
+def _line(low: np.ndarray, high: np.ndarray, factor: float) -> list[Any]:
+    """Scale in the printed unit, lows, highs: none where they are the lows."""
+    size = float(np.max(np.abs(np.nan_to_num([low, high]))))
+    scale = size / STEPS or 1.0
+    same = np.array_equal(low, high, equal_nan=True)
+    above = None if same else _packed(high, scale)
+    return [scale / factor, _packed(low, scale), above]
+
+
+def _log(s: Series, factors: dict[str, float], ways: list[str], room: float) -> Any:
+    own = [c for c in factors if c in s.before and c in s.after]
+    # Two bytes a value, and base64 writes three bytes as four.
+    values = room / max(len(own) * len(ways), 1) / (2 * 4 / 3)
+    start, step, size = columns(s.t, values)
+    lines = {
+        c: {
+            w: _line(*envelope(s.t, getattr(s, w)[c], start, step, size), factors[c])
+            for w in ways
+        }
+        for c in own
+    }
+    return {
+        "name": s.log, "start": start, "step": step, "size": size, "lines": lines,
+    }  # fmt: skip
+
+
+def scope(outcome: Outcome) -> dict[str, Any] | None:
+    """What the page's script draws, for JSON; None if there is no residual.
+
+    A line's values are whole numbers of 16 bits, little-endian, in base64, times its
+    scale in the channel's printed unit; those of a gap are the least.
+    """
+    series = drawn(outcome)
+    names = compared(outcome, series)
+    if not names:
+        return None
+    ways = ["before", "after"] if moved(series, names) else ["after"]
+    factors, shown = {}, []
+    for name in names:
+        c = outcome.channels[name]
+        factors[name], unit = engineering(reach(c), c.unit)
+        noise = c.noise / factors[name] if np.isfinite(c.noise) else None
+        shown.append({"name": name, "unit": unit or "1", "noise": noise})
+    return {
+        "channels": shown,
+        "ways": ways,
+        "colours": {"before": BEFORE, "after": AFTER, "noise": BAND},
+        "logs": [_log(s, factors, ways, BYTES / len(series)) for s in series],
+    }

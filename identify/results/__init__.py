@@ -1,0 +1,1 @@
+"""What a fit or a trace found, as plain data and in words."""

@@ -1,0 +1,95 @@
+"""A measured closed-loop run, run again in the loop of the identified rig."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from hydrojax.control.simulation import simulate
+from hydrojax.identify.results.outcome import LoopCheck
+from hydrojax.logs.log import Log
+from hydrojax.plant.named import get, parameter_specs, put
+from hydrojax.rigfile.build import make_effects, make_rig
+from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.recording import longest, rerun
+from hydrojax.rigfile.schema import Entry, RigFile
+
+MOST_SECONDS, SETTLE = 20.0, 0.5
+"""How much of a log is run again, and what of it is not compared, s."""
+
+
+def identified(spec: RigFile, values: dict[str, float]) -> RigFile:
+    """The rig file with its own parameters, and its effects', at identified values."""
+    base = dict(spec.parameters)
+    effects = {name: dict(given) for name, given in spec.effects.items()}
+    for name, value in values.items():
+        effect, _, field = name.rpartition(".")
+        if effect and effect not in effects:
+            continue
+        table = effects[effect] if effect else base
+        old = table.get(field)
+        table[field] = Entry(value, None, old.unit if old else "")
+    return replace(spec, parameters=base, effects=effects)
+
+
+def check_loop(
+    spec: RigFile,
+    log: Log,
+    values: dict[str, float],
+    added: tuple[str, ...],
+    travel: tuple[float, float],
+) -> LoopCheck | None:
+    """Put a log's F_d through the simulated loop and compare F with the measured F.
+
+    The plant is the identified one with all named effects; the law is the paper's with
+    the rig file's [controller], and knows the identified parameters. Motion and supply
+    are the log's.
+
+    Args:
+        spec: the rig file.
+        log: what is to be run again.
+        values: every parameter by name, SI, as identified.
+        added: effects beyond the declared ones.
+        travel: range of x over which position effects are laid, m.
+
+    Returns:
+        None where there is no closed loop to compare: no u, F or F_d.
+    """
+    if not {"u", "F", "F_d"} <= set(log.signals) or spec.layout == "driven-axis":
+        return None
+    known = identified(spec, values)
+    effects = make_effects((*spec.effects, *added), spec, travel)
+    rig = make_rig(known, effects)
+    names = tuple(parameter_specs(rig))
+    own = np.asarray(get(rig, names))
+    at = [values.get(n, v) for n, v in zip(names, own, strict=True)]
+    rig = put(rig, names, np.array(at))
+    loop = make_loop(known, rig)
+    scenario, loop = rerun(known, loop, log, MOST_SECONDS)
+    if scenario is None:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # it is among the figures
+        run = simulate(loop, scenario)
+    start, stop = longest(log)
+    t = log.time[start:stop] - log.time[start]
+    keep = (t >= SETTLE) & (t <= run.t[-1])
+    desired, measured = (log.signals[n][start:stop][keep] for n in ("F_d", "F"))
+    simulated = np.interp(t[keep], run.t, run["true_F"])
+
+    def rms(y: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(y**2)))
+
+    return LoopCheck(
+        log=log.name,
+        t=t[keep],
+        desired=desired,
+        measured=measured,
+        simulated=simulated,
+        rms=rms(measured - simulated),
+        tracking_measured=rms(desired - measured),
+        tracking_simulated=rms(desired - simulated),
+        warning=run.warning(),
+    )

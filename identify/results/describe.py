@@ -1,0 +1,153 @@
+"""What is left above the noise, in words: in which channel, and what it follows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy import signal
+
+from hydrojax.identify.results.outcome import Dependence, Unexplained
+
+BINS = 16
+"""Quantiles of a signal between which the residual's mean is compared."""
+FOLLOWS = 0.08
+"""Share of the residual's square that a signal's bins must hold to be named."""
+SHUFFLES = 99
+"""Exchanges of a signal's windows that say what chance would show."""
+LINE = 12.0
+"""Height of a spectral line above the median of the spectrum to be named."""
+
+
+def unexplained(
+    channel: str,
+    unit: str,
+    noise: float,
+    residual: np.ndarray,
+    signals: Mapping[str, np.ndarray],
+    tick: float,
+) -> Unexplained:
+    """Describe the residual [W, T] (SI) of a channel that stays above its noise.
+
+    `signals` are [W, T] each; `tick` the step, s. The sentence is a description, not
+    a cause: what it follows is where an engineer would look first.
+    """
+    excess = float(np.sqrt(max(np.mean(residual**2) - noise**2, 0.0)))
+    size = f"{channel} stays {_size(excess, unit)} RMS above its noise"
+    found = [Dependence(n, *dependence(residual, s)) for n, s in signals.items()]
+    tests = tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
+    line, height = spectral_line(residual, tick)
+    clear = max((d for d in tests if d.share > FOLLOWS), key=_share, default=None)
+    if clear:
+        follows = clear.signal
+        says = (
+            f"{size}; {100 * clear.share:.0f} % of what is left goes with {follows} "
+            f"(p {clear.p_value:.2g}), more than with any other signal of the log"
+        )
+    elif height > LINE:
+        follows = "frequency"
+        says = f"{size}; it stands out as a line near {line:.3g} Hz"
+    else:
+        follows, where = _swells(residual, noise, signals)
+        says = (
+            f"{size}; its sign goes with none of the log's signals, but it is larger "
+            f"where {follows} is {where}"
+            if where
+            else f"{size}; it goes with none of the log's signals and has no line"
+        )
+    return Unexplained(
+        channel, excess, unit, follows, says, tests,
+        line if height > LINE else None, advice(channel, follows),
+    )  # fmt: skip
+
+
+def _share(d: Dependence) -> float:
+    return d.share
+
+
+def _swells(
+    residual: np.ndarray, noise: float, signals: Mapping[str, np.ndarray]
+) -> tuple[str, str]:
+    """The signal with whose size that of the residual goes, and which way."""
+    loud = np.log(residual**2 + (0.1 * noise) ** 2)
+    loud = loud - loud.mean()
+    swell = {name: dependence(loud, np.abs(s))[0] for name, s in signals.items()}
+    best = max(swell, key=lambda n: swell[n], default="")
+    if not best or swell[best] <= FOLLOWS:
+        return "none", ""
+    high = np.abs(signals[best]) > np.median(np.abs(signals[best]))
+    return best, "large" if loud[high].mean() > loud[~high].mean() else "small"
+
+
+_STROKES = "strokes of constant speed both ways, at six speeds from below 1 mm/s on"
+_PLACES = "the same strokes about three positions, and slow ones over the whole travel"
+_TRIANGLE = "a slow triangle of the command through zero, at two supply pressures"
+_HOLD = "a minute's hold with the valve shut, and runs at two supply pressures"
+_WARM = "the same run cold and warm, a minute long each"
+_FAST = "a multisine from 0.2 to 80 Hz at three amplitudes"
+_FREE = "free motion at more than 5 m/s^2"
+_STILL = "a hold at constant force: does the line stay, and move with pump or mains?"
+_LEVELS = "strokes of constant speed at two supply pressures"
+_BREAK = "a slow sine of force below breakaway, standing still"
+
+ADVICE = {
+    "frequency": (_STILL, _STILL), "v": (_STROKES, _FAST), "a": (_FREE, _FREE),
+    "x": (_PLACES, _PLACES), "psi": (_PLACES, _PLACES), "t": (_WARM, _WARM),
+    "u": (_TRIANGLE, _TRIANGLE), "abs(u)": (_TRIANGLE, _TRIANGLE),
+    "u_rate": (_FAST, _FAST), "F": (_BREAK, _FAST),
+    "P_a1 + P_a2": (_LEVELS, _HOLD), "P_a1 - P_a2": (_LEVELS, _HOLD),
+}  # fmt: skip
+"""What to record next where the force, or a pressure, follows a signal."""
+
+
+def advice(channel: str, follows: str) -> str:
+    """The excitation that would tell more of such a residual."""
+    return ADVICE.get(follows, (_FAST, _FAST))[channel != "F"]
+
+
+def dependence(residual: np.ndarray, s: np.ndarray) -> tuple[float, float]:
+    """Share of the residual's square held by its means between quantiles of `s`.
+
+    Both [W, T]. The share is less what the same sum holds by chance, when the signal's
+    windows are exchanged among each other; beside it the p-value that these exchanges
+    give, at least 1 / (SHUFFLES + 1).
+    """
+    residual = residual - residual.mean()
+    edges = np.unique(np.quantile(s, np.linspace(0, 1, BINS + 1)[1:-1]))
+    if edges.size < 2:
+        return 0.0, 1.0
+    index = np.searchsorted(edges, s)
+    count = np.maximum(np.bincount(index.ravel()), 1)
+
+    def held(index):
+        total = np.bincount(index.ravel(), weights=residual.ravel())
+        return np.sum(total**2 / count[: total.size])
+
+    draw = np.random.default_rng(0)
+    chance = [held(index[draw.permutation(len(index))]) for _ in range(SHUFFLES)]
+    own = held(index)
+    share = max((own - np.mean(chance)) / max(np.sum(residual**2), 1e-300), 0.0)
+    p = (1 + np.sum(np.array(chance) >= own)) / (SHUFFLES + 1)
+    return float(share), float(p)
+
+
+def spectral_line(residual: np.ndarray, tick: float) -> tuple[float, float]:
+    """Frequency (Hz) of the highest line of the residual, and its height.
+
+    The height is above a running median of the spectrum.
+    """
+    f, power = signal.periodogram(
+        residual, 1 / tick, window="hann", detrend="linear", axis=-1
+    )
+    # The lowest bins of so short a window hold whatever is slow, and no line.
+    f, mean = f[2:], power.mean(axis=0)[2:]
+    around = signal.medfilt(np.pad(mean, 12, mode="reflect"), 13)[12:-12]
+    ratio = mean / np.maximum(around, 1e-300)
+    top = int(np.argmax(ratio))
+    return float(f[top]), float(ratio[top])
+
+
+def _size(value: float, unit: str) -> str:
+    if unit == "Pa":
+        return f"{value / 1e3:.3g} kPa"
+    return f"{value:.3g} {unit}"

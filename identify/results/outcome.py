@@ -1,0 +1,190 @@
+"""What a run found, as plain data: what report.json, report.html and notebooks show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter as found; SI. `std` and `interval` are None where there is none.
+
+    `free` is False for what the rig file holds or leaves at its default. `profile` is
+    the 95 % interval by profile likelihood where it was asked for; an end is None where
+    the range ends first.
+    """
+
+    value: float
+    unit: str
+    says: str
+    start: float
+    free: bool
+    std: float | None = None
+    interval: tuple[float, float] | None = None
+    at_bound: bool = False
+    identified: bool = True
+    profile: tuple[float | None, float | None] | None = None
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Error of one channel on the validation logs, RMS, SI."""
+
+    unit: str
+    noise: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect that was named; `parameters` by their own names, errors by channel."""
+
+    name: str
+    parameters: dict[str, Parameter]
+    p_value: float
+    before: dict[str, float]
+    after: dict[str, float]
+    cannot_tell_from: tuple[str, ...]
+    residual_axis: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What became of a candidate; `share` is the part of the fit's chi-square that a
+    linear step along it would remove.
+    """
+
+    name: str
+    status: str
+    p_value: float
+    power: float
+    share: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Whether what is left goes with a signal: the share of its square, and the chance
+    that signal and residual of unrelated windows would share as much.
+    """
+
+    signal: str
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What stays above the noise: channel, size (SI), what it follows, in words.
+
+    `tests` are of every signal, the clearest first; `line` the frequency (Hz) at which
+    it stands out, or None; `next` what to record to learn more.
+    """
+
+    channel: str
+    excess: float
+    unit: str
+    follows: str
+    says: str
+    tests: tuple[Dependence, ...] = ()
+    line: float | None = None
+    next: str = ""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Residuals of one validation log over its windows, for pictures; SI.
+
+    `t` [n] s since the log began, with NaN rows between windows that do not adjoin;
+    `before`, `after` [n] by channel; `signals` [n] by name: the quantities against
+    which a residual may stand out (`v`, `x`, `P_a1 + P_a2`, `u`, ...).
+    """
+
+    log: str
+    t: np.ndarray
+    measured: dict[str, np.ndarray]
+    before: dict[str, np.ndarray]
+    after: dict[str, np.ndarray]
+    signals: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class LoopCheck:
+    """A measured closed-loop run beside the same run in the identified loop; SI.
+
+    `t` [n] s since the run began; `desired`, `measured`, `simulated` [n] the forces.
+    `rms` is of measured - simulated, `tracking_*` of desired minus each. `warning` says
+    what kept the simulation from being believed, or nothing.
+    """
+
+    log: str
+    t: np.ndarray
+    desired: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    rms: float
+    tracking_measured: float
+    tracking_simulated: float
+    warning: str
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Covariance [n, n] of the fitted parameters inside their ranges, by name; SI."""
+
+    names: tuple[str, ...]
+    matrix: np.ndarray
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """All that `identify` or `trace` found.
+
+    `verdict` is "nothing missing", "explained" or "unknown"; `sentence` says it.
+    `limits` are sentences on what is at a range's end or not identified. `rig_file` is
+    the rig file with the identified values and the effects found.
+    """
+
+    command: str
+    rig: str
+    fit_logs: tuple[str, ...]
+    validate_logs: tuple[str, ...]
+    verdict: str
+    sentence: str
+    parameters: dict[str, Parameter]
+    channels: dict[str, Channel]
+    effects: tuple[Effect, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
+    limits: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
+    series: tuple[Series, ...] = ()
+    loops: tuple[LoopCheck, ...] = ()
+    covariance: Covariance | None = None
+    rig_file: str = ""
+
+    def plot(self, picture: str | None = None) -> Figure:
+        """The most telling picture, or one of those of the report by its name.
+
+        Raises:
+            InputError: no such picture, or nothing to show in it.
+        """
+        from hydrojax.identify.results import (
+            show,  # it draws: whoever only reads an outcome needs no pictures
+        )
+
+        return show.plot(self, picture)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        from hydrojax.identify.results import show
+
+        return show.html(self)

@@ -1,0 +1,1 @@
+"""The search for missing effects: score, select, refit, check."""

@@ -1,0 +1,95 @@
+"""Whether an effect helps: validation errors before and after, paired by window."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.tracing.state import Tracing
+from hydrojax.parameters import Effect, specs
+
+AT_NOISE = 1.1
+"""A channel is at its noise when its error is within this factor of it."""
+SHARE = 0.2
+"""An effect that leaves a channel above its noise is named only if it took at least
+this share of the channel's excess (in squares): less is bending, not explaining."""
+BEYOND_CHANCE = 3.0
+"""Standard errors by which the validation error must fall."""
+
+
+def judge(
+    state: Tracing, before: np.ndarray, after: np.ndarray, noise: np.ndarray
+) -> str:
+    """Whether an effect helps, from validation errors [W, 3] before and after.
+
+    It must lower some channel's error beyond chance (paired by window) by `matters`
+    of its noise, and either bring that channel to its noise or take a fair share of
+    what stood above it; the latter in the force only where the pressures are explained.
+    """
+    seen = np.isfinite(noise)
+    sigma = noise[seen]
+    a, b = state.check.rms(after)[seen], state.check.rms(before)[seen]
+    sure = _falls(before[:, seen], after[:, seen]) > BEYOND_CHANCE
+    helps = sure & (b - a > state.matters * sigma)
+    if not helps.any():
+        return "too small" if sure.any() else "does not help"
+    share = (b**2 - a**2) / np.maximum(b**2 - sigma**2, 1e-300)
+    fair = (a <= AT_NOISE * sigma) | (share > SHARE)
+    upstream = seen & PRESSURES
+    if np.any((state.check.rms(after) > AT_NOISE * noise) & upstream):
+        # What the pressures lack runs on into the force: there only an effect that
+        # explains all of it counts, or one that the pressures want themselves.
+        fair &= (a <= AT_NOISE * sigma) | PRESSURES[seen]
+    if not np.any(helps & fair):
+        return "explains too little"
+    return "helps"
+
+
+def negligible(problem: Problem, point: Point, effect: Effect) -> bool:
+    """Whether all of an effect's strengths came out under the least that is it."""
+    names = problem.model.names
+    return all(
+        abs(point.values[names.index(f"{effect.name}.{field}")]) < s.minimum
+        for field, s in specs(effect).items()
+        if s.strength
+    )
+
+
+def _falls(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """By how many standard errors squared errors [W, c] fell, by channel.
+
+    Windows are paired. The fall itself is tested and its logarithm too, and the larger
+    counts: an effect that acts in a few windows only (a reversal) makes a fall of few
+    large terms, whose mean is uncertain though nearly every one of them is clear.
+    """
+    small = 1e-12 * np.max(before) + 1e-300
+    both = (before - after, np.log((before + small) / (after + small)))
+    return np.max(
+        [
+            d.mean(axis=0) * np.sqrt(len(d)) / np.maximum(d.std(axis=0, ddof=1), 1e-300)
+            for d in both
+        ],
+        axis=0,
+    )
+
+
+def chance(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:
+    """Chance that errors [W, 3] fell as clearly as they did in their best channel."""
+    seen = np.isfinite(noise)
+    best = float(np.max(_falls(before[:, seen], after[:, seen])))
+    return float(min(2 * seen.sum() * stats.t.sf(best, len(before) - 1), 1.0))
+
+
+def cost(sse: np.ndarray, noise: np.ndarray) -> float:
+    """Chi-square of squared errors [W, 3], over the channels that are seen."""
+    seen = np.isfinite(noise)
+    return float(np.sum(sse[:, seen] / noise[seen] ** 2))
+
+
+def worse(a: np.ndarray, b: np.ndarray, noise: np.ndarray) -> bool:
+    """Whether errors `a` are larger than `b` beyond chance, paired by window."""
+    seen = np.isfinite(noise)
+    d = np.sum((a - b)[:, seen] / noise[seen] ** 2, axis=1)
+    return bool(d.mean() > 2.0 * d.std(ddof=1) / np.sqrt(len(d)))

@@ -1,0 +1,148 @@
+"""The loop: fit, residual, the effect behind it, refit, error before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from hydrojax.identify.estimation.fit import Point, fit_force, fit_jointly, only
+from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.tracing.judge import chance, cost, judge, negligible, worse
+from hydrojax.identify.tracing.refit import refit
+from hydrojax.identify.tracing.score import Score, family
+from hydrojax.identify.tracing.screen import scores_of, size_that_matters
+from hydrojax.identify.tracing.state import Added, Tracing, free_names, strengths
+from hydrojax.parameters import Effect
+from hydrojax.plant.rig import HYDRAULIC
+
+PROMISING = 0.02
+"""Share of chi-square from which a candidate is refitted whatever its score's p-value:
+under a second missing effect the windows' scores scatter, and the test is weak."""
+TRIES = 4
+"""Candidates that are refitted in a round, and as many more as score nearly as high."""
+ROUNDS = 4
+"""Effects that a stage may add."""
+
+
+def trace(state: Tracing) -> Tracing:
+    """Look for effects until none is left that matters: pressures first, then all.
+
+    Force stands downstream of pressure, so what the pressures lack is found on them
+    alone; what is then left in the force cannot be the hydraulics' fault. `state` has
+    its pressures fitted (`fit_pressures`).
+    """
+    if state.problem.sees_pressures:
+        upstream = {
+            n: e
+            for n, e in state.effects.items()
+            if e.place in HYDRAULIC or e.place == "sensor_P"
+        }
+        state = _stage(state, upstream, only(state.noise, PRESSURES))
+    if np.isfinite(state.noise[2]):
+        problem, point = fit_force(state.problem, state.point.values, state.free)
+        state = replace(state, problem=problem, point=point)
+        state = _stage(state, state.effects, state.noise)
+    return _without_needless(state)
+
+
+def _without_needless(state: Tracing) -> Tracing:
+    """Let go of effects that the later ones made needless, the earliest first."""
+    for name in [a.name for a in state.added[:-1]]:
+        effect = state.effects[name]
+        gone = set(free_names(effect))
+        free = tuple(n for n in state.free if n not in gone)
+        values = state.point.values.copy()
+        for n in strengths(effect):
+            values[state.problem.model.names.index(n)] = 0.0
+        state.progress(f"refit without {name}")
+        problem, point = fit_jointly(state.problem, values, free, state.point.weights)
+        own, less = (
+            state.check.rms(state.check.errors_at(p.values))
+            for p in (state.point, point)
+        )
+        if np.all(less <= own + state.matters * state.noise):
+            state.progress(f"let go of {name}")
+            state = replace(
+                state,
+                problem=problem,
+                point=point,
+                free=free,
+                added=tuple(a for a in state.added if a.name != name),
+                tried={**state.tried, name: "needless"},
+            )
+    return state
+
+
+def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
+    for _ in range(ROUNDS):
+        known = {a.name for a in state.added}
+        rest = {n: e for n, e in effects.items() if n not in known}
+        scores = scores_of(state, rest, noise)
+        state = replace(state, scores={**state.scores, **scores})
+        more = _round(state, rest, scores, noise)
+        if len(more.added) == len(state.added):
+            return more
+        state = more
+    return state
+
+
+def _round(
+    state: Tracing,
+    effects: Mapping[str, Effect],
+    scores: Mapping[str, Score],
+    noise: np.ndarray,
+) -> Tracing:
+    """Refit the best few candidates and add the one that helps most, if one does."""
+    p = family(scores)
+    least = 0.5 * size_that_matters(state, noise)
+    worth = [
+        s
+        for s in sorted(scores.values(), key=lambda s: -s.gain)
+        if s.gain > least and (p[s.name] < state.level or s.share > PROMISING)
+    ]
+    before = state.check.errors_at(state.point.values)
+    tried = dict(state.tried)
+    helped: list[tuple[float, str, Problem, Point, np.ndarray]] = []
+    for i, s in enumerate(worth):
+        if i >= TRIES and s.gain < 0.9 * worth[0].gain:
+            break
+        state.progress(f"refit with {s.name}")
+        problem, point = refit(state, effects[s.name], s, noise)
+        after = state.check.errors_at(point.values)
+        tried[s.name] = judge(state, before, after, noise)
+        if negligible(problem, point, effects[s.name]):
+            tried[s.name] = "too small"
+        if tried[s.name] == "helps":
+            helped.append((cost(after, noise), s.name, problem, point, after))
+    state = replace(state, tried=tried)
+    if not helped:
+        return state
+    helped.sort(key=lambda h: h[0])
+    _, name, problem, point, after = helped[0]
+    p_value = min(p[name], len(scores) * chance(before, after, noise))
+    alike = tuple(n for _, n, _, _, a in helped[1:] if not worse(a, after, noise))
+    rms = state.check.rms
+    state.progress(f"added {name}")
+    return replace(
+        state,
+        problem=problem,
+        point=point,
+        free=(*state.free, *free_names(effects[name])),
+        added=(*state.added, Added(name, p_value, rms(before), rms(after), alike)),
+    )
+
+
+def status(state: Tracing, name: str, p_value: float) -> str:
+    """`added`, `rejected`, `absent` or `cannot tell`; by its family-wise p-value."""
+    if any(a.name == name for a in state.added):
+        return "added"
+    if any(name in a.cannot_tell_from for a in state.added):
+        return "cannot tell"
+    s = state.scores.get(name)
+    if s is None:
+        return "cannot tell"
+    if p_value < state.level:
+        return "rejected"
+    return "absent" if s.power >= 0.8 else "cannot tell"

@@ -1,0 +1,99 @@
+"""The fit with a candidate free: from where its score points, and from elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from hydrojax.identify.estimation.fit import Point, fit_jointly, fit_pressures
+from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.tracing.judge import AT_NOISE, cost
+from hydrojax.identify.tracing.score import Score
+from hydrojax.identify.tracing.screen import nonlocal_starts, scores_of
+from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengths
+from hydrojax.parameters import Effect
+
+FRICTION = ("velocity", "level", "friction")
+"""Places of effects that friction's own parameters stand in for."""
+
+
+def refit(
+    state: Tracing, effect: Effect, s: Score, noise: np.ndarray
+) -> tuple[Problem, Point]:
+    """Fit again with the effect free, from half the step that its score foresees; and,
+    as long as that leaves something, from where else it may lie.
+    """
+    problem = state.problem
+    free = (*state.free, *free_names(effect))
+    seen = np.isfinite(noise)
+
+    def one(values: np.ndarray) -> tuple[Problem, Point, np.ndarray]:
+        if not seen[2]:
+            done, values = fit_pressures(problem, values, free)
+            point = replace(state.point, values=values)
+        else:
+            done, point = fit_jointly(problem, values, free, state.point.weights)
+        return done, point, done.errors_at(point.values)
+
+    best = one(_stepped(problem, state.point.values, effect, s))
+    starts = _elsewhere(state, effect, s, noise)
+    while np.any((problem.rms(best[2]) > AT_NOISE * noise)[seen]):
+        start = next(starts, None)
+        if start is None:
+            break
+        best = min(best, one(start), key=lambda f: cost(f[2], noise))
+    return best[:2]
+
+
+def _elsewhere(
+    state: Tracing, effect: Effect, s: Score, noise: np.ndarray
+) -> Iterator[np.ndarray]:
+    """Other values from which to fit an effect, found as they are asked for."""
+    problem, here = state.problem, state.point.values
+    start = placed(problem, here, {n: problem.free[n].start for n in state.free})
+    for name, value in nonlocal_starts(effect):
+        yield placed(problem, start, {name: value})
+        if s.shape.get(name) != value:
+            yield placed(problem, here, {name: value})
+    if effect.place in ("sensor_P", "sensor_F"):
+        return
+    for back in _brought_back(problem, here, state.free, effect.place in FRICTION):
+        # What the score foresees from there is another step, often of another sign.
+        there = replace(state, point=replace(state.point, values=back))
+        other = scores_of(there, {effect.name: effect}, noise)[effect.name]
+        yield _stepped(problem, back, effect, other)
+
+
+def _stepped(
+    problem: Problem, values: np.ndarray, effect: Effect, s: Score
+) -> np.ndarray:
+    """The values with half the step of an effect's score, at the shape scored."""
+    names = problem.model.names
+    steps = {
+        n: 0.5 * step * problem.model.scale[names.index(n)]
+        for n, step in zip(strengths(effect), s.step, strict=True)
+    }
+    return placed(problem, values, {**steps, **s.shape})
+
+
+def _brought_back(
+    problem: Problem, values: np.ndarray, free: tuple[str, ...], friction: bool
+) -> Iterator[np.ndarray]:
+    """The values with mechanical ones back at their start: those at an end of their
+    range, if any are, and with `friction` all of them.
+
+    A model that lacks an effect drives its own parameters far off to stand in for it,
+    and from there a fit may not find back.
+    """
+    mechanical = problem.side(free, False)
+    at = {n: values[problem.model.names.index(n)] for n in mechanical}
+    stuck = []
+    for name, f in ((n, problem.free[n]) for n in mechanical):
+        slack = 1e-6 * (f.upper - f.lower)
+        inside = f.lower + slack < f.start < f.upper - slack
+        if inside and not f.lower + slack < at[name] < f.upper - slack:
+            stuck.append(name)
+    for names in filter(None, (stuck, mechanical if friction else ())):
+        yield placed(problem, values, {n: problem.free[n].start for n in names})

@@ -1,0 +1,80 @@
+"""Where a trace stands: the logs, the candidates, the fit, what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.tracing.score import Score
+from hydrojax.parameters import Effect, specs
+
+
+@dataclass(frozen=True)
+class Added:
+    """An effect that was added, and what it did to the validation error, [3], SI."""
+
+    name: str
+    p_value: float
+    before: np.ndarray
+    after: np.ndarray
+    cannot_tell_from: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Tracing:
+    """The state of a trace.
+
+    `problem` and `check` hold the logs that are fitted and those that are not;
+    `effects` the candidates as they stand dormant in the model; `free` what is fitted
+    now; `point` where the fit stands. `scores` and `tried` say what is known of each
+    candidate, `added` what was found, in order.
+    """
+
+    problem: Problem
+    check: Problem
+    effects: Mapping[str, Effect]
+    free: tuple[str, ...]
+    point: Point
+    matters: float
+    level: float
+    progress: Callable[[str], None]
+    added: tuple[Added, ...] = ()
+    scores: Mapping[str, Score] = field(default_factory=dict)
+    tried: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Each channel's noise, [3]."""
+        return np.asarray(self.problem.batch.noise)
+
+    @property
+    def named(self) -> dict[str, float]:
+        """Every parameter's value by name, SI."""
+        return dict(
+            zip(self.problem.model.names, self.point.values.tolist(), strict=True)
+        )
+
+
+def strengths(effect: Effect) -> list[str]:
+    """Names of an effect's strengths, as the model has them."""
+    return [f"{effect.name}.{n}" for n, s in specs(effect).items() if s.strength]
+
+
+def free_names(effect: Effect) -> list[str]:
+    """Names of all parameters of an effect, as the model has them."""
+    return [f"{effect.name}.{n}" for n in specs(effect)]
+
+
+def placed(
+    problem: Problem, values: np.ndarray, given: Mapping[str, float]
+) -> np.ndarray:
+    """The values with some of them as given, inside their ranges."""
+    values = values.copy()
+    for name, value in given.items():
+        f = problem.free[name]
+        values[problem.model.names.index(name)] = np.clip(value, f.lower, f.upper)
+    return values

@@ -1,0 +1,245 @@
+"""The site builds without a warning; the program takes what its pages show."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+import tomlkit
+import typer
+
+from hydrojax import cli
+from hydrojax.effects import EFFECTS, load_effects
+from hydrojax.rigfile.build import load_rig
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
+
+
+def blocks(path: Path, *kinds: str) -> Iterator[str]:
+    """A page's code blocks of these kinds."""
+    fence = re.compile(r"^```([^\n]*)\n(.*?)^```", re.M | re.S)
+    for kind, text in fence.findall(path.read_text(encoding="utf-8")):
+        if kind.strip() in kinds:
+            yield text
+
+
+# -- the site --
+
+
+def built(
+    site: Path, config: Path = ROOT / "mkdocs.yml"
+) -> subprocess.CompletedProcess:
+    """Build the site; whatever would go to the network goes to a closed port."""
+    nowhere = dict.fromkeys(("http_proxy", "https_proxy"), "http://127.0.0.1:9")
+    words = ("build", "--strict", "-f", config, "--site-dir", site)
+    return subprocess.run(
+        [sys.executable, "-m", "mkdocs", *words],
+        cwd=ROOT,
+        env={**os.environ, **nowhere, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    pytest.importorskip("material", reason="mkdocs-material is not installed: [docs]")
+    pytest.importorskip("mkdocstrings_handlers.python")
+    folder = tmp_path_factory.mktemp("site")
+    done = built(folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+def test_the_site_builds_without_a_warning(site):
+    """Links, anchors, navigation and docstrings are all in order."""
+    assert (site / "index.html").is_file()
+
+
+def test_every_page_is_there(site):
+    pages = {p.relative_to(ROOT / "docs").with_suffix(".html") for p in PAGES}
+    assert pages <= {p.relative_to(site) for p in site.rglob("*.html")}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "hydrojax.identify.case.open_case",
+        "hydrojax.identify.case.trace_case",
+        "hydrojax.identify.results.outcome.Outcome.plot",
+        "hydrojax.plant.rig.Rig.step",
+        "hydrojax.control.loop.run",
+        "hydrojax.control.simulation.simulate",
+        "hydrojax.control.adaptive.Law",
+        "hydrojax.plant.friction.Friction",
+        "hydrojax.plant.chambers.Chambers",
+        "hydrojax.effects.load_effects",
+        "hydrojax.tune.plan.sweep_rig",
+        "hydrojax.jax_setup.set_up_jax",
+        "hydrojax.export.formats.export",
+        "hydrojax.logs.log.read_log",
+    ],
+)
+def test_the_api_pages_hold(site, name):
+    text = "".join(p.read_text(encoding="utf-8") for p in (site / "api").glob("*.html"))
+    assert f'id="{name}"' in text
+
+
+FETCHED = re.compile(
+    r"<(?:script|img|iframe|source)\b[^>]*?\bsrc=[\"']?(?:https?:)?//[^\s\"'>]+"
+    r"|<link\b(?![^>]*canonical)[^>]*?\bhref=[\"']?(?:https?:)?//[^\s\"'>]+"
+    r"|@import[^;]*//[^;]+|url\([\"']?(?:https?:)?//[^)]+\)"
+)
+"""What a browser would get from elsewhere on opening a page."""
+
+
+def test_a_reader_s_browser_fetches_nothing(site):
+    """Scripts, style sheets, pictures and fonts all come from the site itself."""
+    for path in (*site.rglob("*.html"), *site.rglob("*.css")):
+        assert not FETCHED.search(path.read_text(encoding="utf-8")), path
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<script defer src="https://example.org/a.js"></script>',
+        '<link rel="stylesheet" href="//example.org/a.css">',
+        "@font-face{src:url(https://example.org/a.woff2)}",
+    ],
+)
+def test_what_would_be_fetched_is_seen(text):
+    assert FETCHED.search(text)
+
+
+def test_a_broken_link_and_a_broken_anchor_fail_the_build(tmp_path):
+    """What the build is trusted with, seen once."""
+    pytest.importorskip("material", reason="mkdocs-material is not installed: [docs]")
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    validation = re.search(r"^validation:\n(?:  .*\n)+", text, re.M)
+    assert validation
+    (tmp_path / "mkdocs.yml").write_text(
+        f"site_name: broken\nstrict: true\n{validation[0]}"
+    )
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "docs" / "index.md"
+    for link, code in (("#here", 0), ("#gone", 1), ("gone.md", 1)):
+        page.write_text(f"# Here\n\n[a link]({link})\n")
+        assert built(tmp_path / "site", tmp_path / "mkdocs.yml").returncode == code, (
+            link
+        )
+
+
+# -- the commands that the pages show --
+
+
+def commands(path: Path) -> list[str]:
+    """Every `hydrojax ...` line of a page's shell blocks, continued lines joined."""
+    text = "\n".join(blocks(path, "", "bash", "console", "sh"))
+    lines = (line.strip() for line in text.replace("\\\n", " ").splitlines())
+    return [line for line in lines if line.startswith("hydrojax ")]
+
+
+def parse(line: str) -> typer.Context | None:
+    """Take a command line apart as the program does, without running it."""
+    group = typer.main.get_command(cli.app)
+    words = cli.spread(shlex.split(line, comments=True)[1:])
+    context = group.make_context("hydrojax", words)
+    name, command, rest = group.resolve_command(
+        context, [*context._protected_args, *context.args]
+    )
+    return command.make_context(name, rest, parent=context)
+
+
+SHOWN = [
+    pytest.param(line, id=f"{path.name}: {line}"[:80])
+    for path in (*PAGES, ROOT / "README.md")
+    for line in commands(path)
+]
+
+
+@pytest.mark.parametrize("line", SHOWN)
+def test_a_command_shown_is_taken(line):
+    parse(line)
+
+
+def test_there_are_commands():
+    assert len(SHOWN) > 20
+
+
+@pytest.mark.parametrize(
+    "line", ["hydrojax trase rig.toml", "hydrojax tune rig.toml --speed 3"]
+)
+def test_a_command_that_is_none_is_not_taken(line):
+    with pytest.raises(Exception, match=r"(?i)no such"):
+        parse(line)
+
+
+def test_the_tutorial_s_last_command_runs(call, tmp_path, monkeypatch):
+    """On the demo's rig in place of the tuned one, which takes minutes to make."""
+    (line,) = (c for c in commands(ROOT / "docs/tutorial.md") if " export " in c)
+    (tmp_path / "tuned").mkdir()
+    rig = (ROOT / "hydrojax/demo/rig.toml").read_text()
+    (tmp_path / "tuned/rig.toml").write_text(rig)
+    monkeypatch.chdir(tmp_path)
+    said = call(*shlex.split(line)[1:])
+    assert said.code == 0, said.err
+    made = json.loads((tmp_path / "exported/rig.json").read_text())
+    assert made["name"] == "demo rig"
+    assert (tmp_path / "exported/law.c").is_file()
+
+
+# -- the rig files that the pages show --
+
+BASE = {
+    "layout": "pull-pull",
+    "geometry": {"area": "1.18e-3 m^2", "chamber_length": "0.2 m"},
+}
+
+
+def merged(base: Mapping, over: Mapping) -> dict:
+    """Two trees of tables as one; the second has the last word."""
+    out = dict(base)
+    for key, value in over.items():
+        both = isinstance(value, Mapping) and isinstance(base.get(key), Mapping)
+        out[key] = merged(base[key], value) if both else value
+    return out
+
+
+RIGS = [
+    pytest.param(text, id=f"{path.name} {i}")
+    for path in PAGES
+    for i, text in enumerate(blocks(path, "toml"))
+    if not text.startswith("[project")  # of a package, not of a rig
+]
+
+
+@pytest.fixture
+def own_effects(tmp_path):
+    """The effect that a page writes, known while the test runs."""
+    before = dict(EFFECTS)
+    page = ROOT / "docs/your_own_effect.md"
+    (tmp_path / "my_effects.py").write_text(next(blocks(page, "python")))
+    load_effects(tmp_path / "my_effects.py")
+    yield
+    EFFECTS.clear()
+    EFFECTS.update(before)
+
+
+@pytest.mark.parametrize("text", RIGS)
+def test_a_rig_file_shown_is_taken(text, tmp_path, own_effects):
+    """Each piece, completed where it shows only a section."""
+    shown = tomllib.loads(text)
+    path = tmp_path / "rig.toml"
+    whole = merged({"name": "shown", **BASE}, shown)
+    path.write_text(tomlkit.dumps(whole))
+    load_rig(path)

@@ -1,0 +1,124 @@
+"""Every notebook runs from top to bottom, and keeps what is fit to be kept."""
+
+import ast
+import os
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
+
+SMALL = {"03_the_paper": "seconds = 12.0", "04_your_own_effect": "seconds = 4.0"}
+"""What stands in the tests in place of the cell that is tagged `parameters`."""
+
+MEASURED = Path(os.environ.get("HYDROJAX_DATA", "") or "no-such-folder")
+"""Logs that are not part of this repository, where a reader has them."""
+
+MOST_BYTES = 1_000_000
+
+
+def read(stem: str) -> nbformat.NotebookNode:
+    """A notebook by its name."""
+    (path,) = (p for p in NOTEBOOKS if p.stem == stem)
+    return nbformat.read(path, as_version=4)
+
+
+def assigned(code: str) -> set[str]:
+    """The names that a cell gives values."""
+    nodes = ast.walk(ast.parse(code))
+    return {
+        n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+    }
+
+
+def made_small(notebook: nbformat.NotebookNode, code: str) -> nbformat.NotebookNode:
+    """The notebook with its parameters replaced by those of the tests."""
+    (cell,) = (c for c in notebook.cells if "parameters" in c.metadata.get("tags", ()))
+    assert assigned(cell.source) == assigned(code)
+    cell.source = code
+    return notebook
+
+
+def outputs(notebook: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
+    """Every output of every cell."""
+    return [o for c in notebook.cells if c.cell_type == "code" for o in c.outputs]
+
+
+def drawn(notebook: nbformat.NotebookNode) -> int:
+    """How many pictures there are."""
+    return sum("image/png" in o.get("data", {}) for o in outputs(notebook))
+
+
+def printed(notebook: nbformat.NotebookNode) -> str:
+    """All that was printed and shown as text or tables."""
+    parts = []
+    for output in outputs(notebook):
+        data = output.get("data", {})
+        parts += [output.get("text", ""), data.get("text/plain", "")]
+        parts.append(data.get("text/html", ""))
+    return "\n".join(parts)
+
+
+def run(stem: str) -> nbformat.NotebookNode:
+    """Run a notebook, at a small size where it has one."""
+    notebook = read(stem)
+    if stem in SMALL:
+        made_small(notebook, SMALL[stem])
+    for output in (c for c in notebook.cells if c.cell_type == "code"):
+        output.outputs = []
+    NotebookClient(notebook, timeout=900).execute()
+    return notebook
+
+
+@pytest.mark.parametrize("stem", [path.stem for path in NOTEBOOKS])
+def test_notebook_runs(stem, monkeypatch):
+    monkeypatch.delenv("HYDROJAX_DATA", raising=False)
+    kept = drawn(read(stem))
+    done = run(stem)
+    assert drawn(done), "no picture was drawn"
+    if stem == "05_measured_data":
+        assert "demo rig" in printed(done)
+    else:
+        assert drawn(done) == kept
+    if stem == "04_your_own_effect":
+        assert "quadratic_drag: added" in printed(done)
+
+
+@pytest.mark.skipif(
+    not MEASURED.is_dir(), reason="HYDROJAX_DATA names no folder of measured logs"
+)
+def test_measured_data(monkeypatch):
+    """EMPS as published: least squares by its authors, to 2 %."""
+    text = printed(run("05_measured_data"))
+    for name in ("payload_inertia.m", "viscous_friction.b", "k_0"):
+        (line,) = (x for x in text.splitlines() if x.startswith(f"{name} "))
+        assert abs(float(line.split()[-2])) < 2.5, line
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_what_a_notebook_keeps(path):
+    """Run to the end, small, and without a word of the machine it was run on."""
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    code = [c for c in notebook.cells if c.cell_type == "code"]
+    assert [c.execution_count for c in code] == list(range(1, len(code) + 1))
+    assert drawn(notebook)
+    assert path.stat().st_size < MOST_BYTES
+    assert not [o for o in outputs(notebook) if o.get("name") == "stderr"]
+    text = printed(notebook)
+    for root in ("/work", "/home", "/root", "/tmp", "/Users", "C:\\", str(Path.cwd())):
+        assert root not in text
+    assert notebook.metadata.kernelspec.name == "python3"
+
+
+def test_every_small_size_is_used():
+    assert set(SMALL) <= {path.stem for path in NOTEBOOKS}
+    for stem, code in SMALL.items():
+        made_small(read(stem), code)
+
+
+def test_parameters_by_other_names_are_refused():
+    with pytest.raises(AssertionError):
+        made_small(read("03_the_paper"), "minutes = 1")

@@ -1,0 +1,657 @@
+"""One test over all effects: absent at zero, alive there, declared in full."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pint
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from hydrojax.effects import EFFECTS
+from hydrojax.identify.estimation.columns import (
+    NUISANCE,
+    SUPPLY_BLOCKS,
+    Batch,
+    Model,
+    basis,
+    driven,
+    recall,
+    sensitivities,
+)
+from hydrojax.parameters import specs
+from hydrojax.plant.chambers import Point
+from hydrojax.plant.friction import Sliding, run_linear
+from hydrojax.plant.named import get, parameter_specs, put
+from hydrojax.plant.replay import friction_memory, pressures, readings
+from hydrojax.plant.rig import PLACES, StepInput, add
+
+SHAPES = {
+    "gravity_load": {"radius": 0.085},
+    "position_friction": {"x_from": 1.7e-3, "x_to": 2.3e-3},
+}
+"""What an effect takes from the rig and the logs: here, of the synthetic ones."""
+
+ALL = (0, 1, 2)
+REACH = {
+    "command": ALL,
+    "orifice": ALL,
+    "supply": ALL,
+    "flow": ALL,
+    "volume": ALL,
+    "compliance": ALL,
+    "stretch": ALL,
+    "velocity": (2,),
+    "level": (2,),
+    "friction": (2,),
+    "force": (2,),
+    "sensor_P": (0, 1),
+    "sensor_F": (2,),
+}
+"""Which of P_a1, P_a2, F an effect at each place can move in a replay."""
+
+NOISE = np.array([9e3, 9e3, 2.5])
+
+STRENGTHS = [
+    (name, field)
+    for name, effect in EFFECTS.items()
+    for field, spec in specs(effect).items()
+    if spec.strength
+]
+
+
+def make(name):
+    return EFFECTS[name](**SHAPES.get(name, {}))
+
+
+class Replay:
+    """The replay and its derivative to some parameters, compiled once and counted."""
+
+    def __init__(self, drive, names=()):
+        self.names, self.traces = list(names), 0
+        motion, w, P_0 = jax.tree.map(jnp.asarray, drive[:3])
+
+        def replay(rig):
+            P = pressures(rig, w, P_0)
+            return readings(rig, w, *P, friction_memory(rig, motion).within(w))
+
+        def both(rig, along):
+            self.traces += 1
+            if not self.names:
+                return replay(rig), None
+            here = get(rig, self.names)
+            return jax.jvp(lambda p: replay(put(rig, self.names, p)), (here,), (along,))
+
+        self._both = jax.jit(both)
+
+    def __call__(self, rig, name=None):
+        """Readings [W, T, 3] and their derivative to the named parameter."""
+        return self._both(rig, np.array([float(n == name) for n in self.names]))
+
+
+ONE_SENSOR = {"pressure_sensor_bias.b_1": (0,), "pressure_sensor_bias.b_2": (1,)}
+"""Strengths that stand on one sensor only."""
+
+ONE_CHAMBER = {"dead_volume.V_01": (0, 2), "dead_volume.V_02": (1, 2)}
+
+
+@pytest.fixture(scope="module")
+def log(drive):
+    return drive()
+
+
+@pytest.fixture(scope="module")
+def without(rig, log):
+    return np.asarray(Replay(log)(rig)[0])
+
+
+@pytest.fixture(scope="module")
+def replays(log):
+    """One compiled replay per effect, shared by the tests below."""
+
+    @functools.cache
+    def of(name):
+        return Replay(log, [f"{name}.{field}" for field in specs(EFFECTS[name])])
+
+    return of
+
+
+def test_the_synthetic_log_wakes_every_mechanism(rig, log, without):
+    """What the tests below rest on: both ways of everything, and mixed friction."""
+    w = log.windows
+    z, speed, _ = map(np.asarray, jax.jit(friction_memory)(rig, log.motion))
+    switch = np.asarray(rig.mechanics.switch(speed))
+    for signal in (w.u, w.v, z, without[..., 2]):
+        assert signal.min() < 0 < signal.max()
+    assert switch.min() < 0.3 and switch.max() > 0.7
+    assert without[..., :2].min() > 1e6 and without[..., :2].max() < 13e6
+
+
+# -- absent, alive, and nothing compiled twice --
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_dormant_effect_is_absent(rig, without, replays, name):
+    assert np.allclose(
+        replays(name)(add(rig, [make(name)]))[0], without, rtol=1e-12, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(("name", "field"), STRENGTHS)
+def test_dormant_effect_is_alive(rig, without, replays, name, field):
+    """The derivative at zero is the one-sided difference, and is not zero."""
+    rig, replay = add(rig, [make(name)]), replays(name)
+    strength = f"{name}.{field}"
+    spec = parameter_specs(rig)[strength]
+    got = np.asarray(replay(rig, strength)[1]) * spec.scale / NOISE
+
+    def difference(step):
+        at = put(rig, [strength], [spec.default + step * spec.scale])
+        return (replay(at)[0] - without) / step / NOISE
+
+    want = 2 * difference(5e-4) - difference(1e-3)  # free of the first-order error
+    reach = REACH[EFFECTS[name].place]
+    reach = (ONE_SENSOR | ONE_CHAMBER).get(strength, reach)
+    for channel in ALL:
+        if channel in reach:
+            size = np.linalg.norm(want[..., channel])
+            assert np.linalg.norm(got[..., channel]) > 1e-3
+            assert np.linalg.norm((got - want)[..., channel]) < 1e-3 * size
+        else:
+            assert not np.any(got[..., channel])
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_new_value_compiles_nothing(rig, replays, name):
+    """A default, a Python float, an integer, NumPy's and JAX's: one program."""
+    replay, dormant = replays(name), add(rig, [make(name)])
+    replay(dormant)
+    before = replay.traces
+    fields = {
+        field: 0.5 * spec.scale if spec.strength else spec.default
+        for field, spec in specs(EFFECTS[name]).items()
+    }
+    names, values = [f"{name}.{f}" for f in fields], list(fields.values())
+    for new in (values, np.array(values), jnp.array(values), [0] * len(values)):
+        replay(put(dormant, names, new))
+    replay(add(rig, [EFFECTS[name](**SHAPES.get(name, {}), **fields)]))
+    assert before == replay.traces == 1
+
+
+# -- what each effect is, in plain NumPy --
+
+AT = Point(
+    *np.array([5e6, 6.5e6, 14e6, 0.25e6]),
+    (0.4, 0.1),
+    np.float64(0.02),
+    np.float64(0.01),
+)
+SLIDING = Sliding(
+    t=np.float64(7.0),
+    x=np.float64(0.02),
+    v=np.float64(0.004),
+    a=np.float64(0.6),
+    z=np.float64(5e-5),
+    z_rate=np.float64(-0.002),
+    speed=np.float64(0.003),
+    P_a1=np.float64(5e6),
+    P_a2=np.float64(6.5e6),
+    P_s=np.float64(14e6),
+)
+
+
+def test_leakages_are_laminar():
+    got = EFFECTS["internal_leakage"](c_il=3e-13).flow(AT)
+    assert np.allclose(got, (4.5e-7, -4.5e-7), rtol=1e-12)  # from high to low
+    got = EFFECTS["external_leakage"](c_el=2e-13).flow(AT)
+    assert np.allclose(got, (-2e-13 * 4.75e6, -2e-13 * 6.25e6), rtol=1e-12)
+
+
+def test_supply_line_drop_is_the_root_of_its_equation():
+    """The flow through edge and line in series, found by bracketing."""
+    k_s, edge, available = 5e14, 3e-9, 9e6
+    q = brentq(
+        lambda q: q - edge * np.sqrt(available - k_s * q**2), 0, 1e-4, xtol=1e-20
+    )
+    drop = EFFECTS["supply_line_drop"](k_s=k_s).drop(edge, available)
+    assert drop == pytest.approx(k_s * q**2, rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [1.0, 1.4])
+def test_entrained_air_is_a_polytropic_gas(n):
+    """Compliance is the rate at which the free gas shrinks, `-dV/dp` per volume."""
+    alpha, P, atm = 5e-3, 3e6, 101325.0
+    step = 1.0
+
+    def gas(P):
+        return alpha * (atm / (P + atm)) ** (1 / n)
+
+    want = -(gas(P + step) - gas(P - step)) / (2 * step)
+    got = EFFECTS["entrained_air"](alpha=alpha, n=n).compliance(P)
+    assert got == pytest.approx(want, rel=1e-8)
+
+
+def position_wave(x, s, c, waves):
+    angle = 2 * np.pi * waves * (x - 0.01) / 0.06
+    return sum(
+        a * np.sin((i + 1) * angle) + b * np.cos((i + 1) * angle)
+        for i, (a, b) in enumerate(zip(s, c, strict=True))
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "want"),
+    [
+        ("stribeck", {"k_st": 80.0, "v_s": 3e-3}, 80 * np.exp(-((4 / 3) ** 2))),
+        ("pressure_friction", {"a": 0.2}, 500 * 0.2 * 11.5 / 28),
+        ("friction_drift", {"a": 0.3, "tau": 5.0}, 150 * (np.exp(-7 / 5) - 1)),
+        (
+            "position_friction",
+            {
+                "x_from": -0.02,
+                "x_to": 0.04,
+                "waves": 1.3,
+                **dict(zip(("s_1", "s_2", "s_3"), (0.1, -0.2, 0.3), strict=True)),
+                **dict(zip(("c_1", "c_2", "c_3"), (-0.05, 0.15, 0.25), strict=True)),
+            },
+            500 * position_wave(0.02, (0.1, -0.2, 0.3), (-0.05, 0.15, 0.25), 1.3),
+        ),
+    ],
+)
+def test_level_effect_is_its_formula(name, fields, want):
+    got = EFFECTS[name](**fields).level(SLIDING, np.float64(500.0))
+    assert got == pytest.approx(want, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "want"),
+    [
+        ("viscous_friction", {"b": 400.0}, 1.6),
+        ("bristle_damping", {"sigma_1": 5e3}, -10.0),
+        ("payload_inertia", {"m": 8.0}, -4.8),
+        (
+            "gravity_load",
+            {
+                "w_s": 90 * np.cos(0.4),
+                "w_c": 90 * np.sin(0.4),
+                "radius": 0.085,
+            },
+            90 * np.sin(0.02 / 0.085 + 0.4),
+        ),
+    ],
+)
+def test_force_effect_is_its_formula(name, fields, want):
+    assert EFFECTS[name](**fields).force(SLIDING) == pytest.approx(want, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "want"),
+    [
+        ("rod_compliance", {"give": 2e-8}, 2e-8 * 400.0),
+        ("backlash", {"b": 1e-4, "F_w": 200.0}, 0.5e-4 * np.tanh(2.0)),
+    ],
+)
+def test_stretch_effect_is_its_formula(name, fields, want):
+    assert EFFECTS[name](**fields).stretch(400.0) == pytest.approx(want, rel=1e-12)
+
+
+# -- friction's lag --
+
+
+def film_of(tau, speed, h):
+    """The film's speed at every tick, from the speed there."""
+    follow = EFFECTS["frictional_lag"](tau_h=tau).follow
+    speed = jnp.asarray(speed)
+    return np.asarray(run_linear(*follow(speed[:-1], speed[1:], h), speed[0]))
+
+
+@pytest.mark.parametrize("tau", [1e-4, 2e-3, 0.08, 0.3])
+def test_the_film_follows_its_equation(tau):
+    """For a speed that runs straight from tick to tick, of uneven length."""
+    rng = np.random.default_rng(2)
+    h = 1e-3 * rng.uniform(0.5, 2.0, 60)
+    t = np.r_[0.0, np.cumsum(h)]
+    speed = np.abs(np.cumsum(rng.normal(0, 2e-3, t.size)))
+    w, want = speed[0], []
+    for i in range(h.size):
+        w = solve_ivp(
+            lambda s, w, i=i: (np.interp(s, t[i : i + 2], speed[i : i + 2]) - w) / tau,
+            (t[i], t[i + 1]),
+            [w],
+            rtol=1e-10,
+            atol=1e-14,
+            method="LSODA",
+        ).y[0, -1]
+        want.append(w)
+    assert np.allclose(film_of(tau, speed, h), want, rtol=0, atol=1e-9)
+
+
+def test_a_film_that_is_not_late_is_the_speed_itself():
+    speed = np.abs(np.random.default_rng(0).normal(0, 0.02, 300))
+    assert np.array_equal(film_of(0.0, speed, np.full(299, 1e-3)), speed[1:])
+
+
+@pytest.mark.parametrize("v", [0.012, 1e-4, -1e-4, -0.02])
+@pytest.mark.parametrize("turn", [-1.0, -0.4, 0.0, 0.7, 1.0])
+def test_all_that_depends_on_speed_sees_the_film(rig, v, turn):
+    """Along the bristle: when the motion turns, friction does not until it does."""
+    film, friction = 9e-3, rig.mechanics
+    at = SLIDING._replace(v=np.float64(v), z=turn * friction.z_ss, lag=film - abs(v))
+    rise = EFFECTS["stribeck"](k_st=80.0, v_s=6e-3)
+    drag = EFFECTS["viscous_friction"](b=700.0)
+    got = float(friction.sliding_force(at, (rise,), (drag,)))
+    seen = v + turn * (film - abs(v))
+    level = (900.0 if turn > 0 else 1200.0) + 80 * np.exp(-((film / 6e-3) ** 2))
+    fall = 3e3 if seen > 0 else -2e3
+    assert got == pytest.approx(turn * level + 100.0 + (700.0 - fall) * seen, rel=1e-12)
+
+
+# -- a rod that gives, in a replay --
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [("rod_compliance", {"give": 6e-8}), ("backlash", {"b": 4e-5, "F_w": 60.0})],
+)
+def test_friction_sees_the_piston(rig, drive, name, fields):
+    """A log whose encoder is the piston itself, moved by hand, gives the same."""
+    effect, log = EFFECTS[name](**fields), drive()
+    soft = jax.jit(friction_memory)(add(rig, [effect]), log.motion)
+    m = log.motion
+    quarters = np.arange(5) / 4
+    F = m.F[:, :-1, None] + quarters * np.diff(m.F, axis=1)[..., None]
+    s = np.asarray(effect.stretch(F))
+    t = np.r_[0.0, np.cumsum(m.h[0])]
+    rate = np.gradient(np.asarray(effect.stretch(m.F)), t, axis=1)
+    moved = m._replace(dx=m.dx + np.diff(s, axis=-1))
+    stiff = jax.jit(friction_memory)(rig, moved)
+    assert np.allclose(soft.z, stiff.z, rtol=0, atol=1e-12)
+    assert np.allclose(soft.speed, stiff.speed, rtol=0, atol=1e-12)
+    assert np.max(np.abs(soft.z - friction_memory(rig, m).z)) > 2e-6
+    off = np.abs(np.asarray(soft.v) - m.v - rate)[:, 1:-1]
+    assert np.max(off) < 0.1 * np.ptp(rate)
+
+
+# -- a rod that gives, in simulation --
+
+
+def test_what_stretches_gives_way_as_the_force_rises(rig):
+    """Joint locked, valve open: against the same plant in scipy, with its own force.
+
+    The oil's stiffness is twice the rod's: an explicit coupling would not stand.
+    """
+    k, h, ticks = 1e7, 2.5e-4, 240
+    for effect in (
+        EFFECTS["rod_compliance"](give=1 / k),
+        EFFECTS["backlash"](b=1e-4, F_w=40.0),
+    ):
+        soft = add(rig, [effect])
+        lane = jnp.zeros(1)
+        state = soft.init(lane, lane + 7e6, lane + 6.9e6, lane + 2e-3)
+        tick = StepInput(
+            h=lane + h,
+            u=lane,
+            P_s=jnp.full((1, 2), 14e6),
+            P_r=jnp.full((1, 2), 0.25e6),
+            x=jnp.full((1, 3), 2e-3),
+            dx=jnp.zeros((1, 4)),
+            v=lane,
+            a=lane,
+            t=lane,
+        )
+
+        def one(state, i, soft=soft, tick=tick, lane=lane):
+            opening = (lane, lane + 1.0)
+            state = soft.act(state, opening, tick)
+            F = soft.output_force(soft.sliding(state, tick))
+            return state, jnp.stack([*state.P, F])
+
+        got = np.asarray(jax.lax.scan(one, state, jnp.arange(ticks))[1])[..., 0]
+
+        def force(P_1, P_2, soft=rig):
+            at = SLIDING._replace(
+                x=2e-3, v=0.0, a=0.0, z=0.0, z_rate=0.0, speed=0.0, P_a1=P_1, P_a2=P_2
+            )
+            return float(soft.output_force(at))
+
+        def rates(t, P, effect=effect):
+            at = AT._replace(P_a1=P[0], P_a2=P[1], opening=(0.0, 1.0), x=2e-3, v=0.0)
+            still = np.array(rig.pressure_rates(at))
+            moving = np.array(rig.pressure_rates(at._replace(v=1.0)))
+            here, d = force(*P), 20.0
+            follow = (force(P[0], P[1] + d) - here) / (1.18e-3 * d)
+            steep = float(effect.stretch(here + 1e-3) - effect.stretch(here - 1e-3))
+            c = follow * steep / 2e-3
+            area = np.array([-1.18e-3, 1.18e-3])
+            v = c * area @ still / (1 - c * area @ (moving - still))
+            return still + (moving - still) * v
+
+        out = solve_ivp(
+            rates, (0, h * ticks), [7e6, 6.9e6], rtol=1e-8, max_step=1e-3,
+            t_eval=h * np.arange(1, ticks + 1),
+        )  # fmt: skip
+        want = out.y.T
+        moved = np.ptp(want[:, 1])
+        assert np.max(np.abs(got[:, :2] - want)) < 0.01 * moved
+        assert got[0, 2] < -50 and got[-1, 2] > 200
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [("rod_compliance", {"give": 6e-8}), ("backlash", {"b": 5e-5, "F_w": 40.0})],
+)
+def test_force_stretch_and_bristle_agree_while_it_slides(rig, name, fields):
+    """What the rod was solved for is what the plant then puts out, without chatter.
+
+    The bristle is about as stiff as the rod: it cannot lag a step behind.
+    """
+    soft, h, n = add(rig, [EFFECTS[name](**fields)]), 2.5e-4, 1200
+    t = h * jnp.arange(n + 1)
+    x = 2e-3 + 4e-4 * jnp.sin(2 * jnp.pi * 9.0 * t)
+
+    def one(state, i):
+        u = 0.6 * jnp.sin(2 * jnp.pi * 17.0 * t[i])
+        tick = StepInput(
+            h=jnp.asarray(h),
+            u=u,
+            P_s=jnp.full(2, 14e6),
+            P_r=jnp.full(2, 0.25e6),
+            x=jnp.stack([x[i], (x[i] + x[i + 1]) / 2, x[i + 1]]),
+            dx=(x[i + 1] - x[i])[None],
+            v=(x[i + 1] - x[i]) / h,
+            a=jnp.zeros(()),
+            t=t[i + 1],
+        )
+        opening = jnp.maximum(u, 0.0), jnp.maximum(-u, 0.0)
+        state = soft.act(state, opening, tick)
+        at = soft.sliding(state, tick)
+        return state, jnp.stack([soft.output_force(at), state.rod[0], at.speed])
+
+    zero = jnp.zeros(())
+    start = soft.init(zero, zero + 7e6, zero + 7.2e6, x[0])
+    F, solved, speed = np.asarray(jax.lax.scan(one, start, jnp.arange(n))[1]).T
+    assert np.ptp(F) > 500 and speed[-1] > 5e-3
+    assert np.max(np.abs(F - solved)) < 0.005 * np.ptp(F)
+    assert np.std(np.diff(F, 4)) < 0.01 * np.ptp(F)
+
+
+# -- what is declared --
+
+
+@pytest.fixture(scope="module")
+def declared(rig):
+    return parameter_specs(add(rig, map(make, EFFECTS)))
+
+
+@pytest.fixture(scope="module")
+def units():
+    return pint.UnitRegistry()
+
+
+def test_every_parameter_is_declared_in_full(declared, units):
+    for name, spec in declared.items():
+        units.parse_units(spec.unit.replace("{u}", "V"))
+        stored = spec.unit.replace("{u}", "V")
+        if spec.outside:
+            inverse = 1 / units.Quantity(1, spec.outside[1].replace("{u}", "V"))
+            assert inverse.check(units.Quantity(1, stored).dimensionality), name
+        assert np.isfinite([spec.lower, spec.upper]).all(), name
+        assert spec.lower < spec.upper, name
+        assert spec.lower <= spec.default <= spec.upper, name
+        assert all(spec.lower <= value <= spec.upper for value in spec.grid), name
+        assert spec.scale > 0, name
+        assert spec.prior is None or spec.prior > 0, name
+        assert spec.description.strip(), name
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_has_its_place_and_a_zero(name):
+    effect, spec = EFFECTS[name], specs(EFFECTS[name])
+    assert effect.name == name
+    assert effect.place in PLACES
+    assert effect.needs and effect.residual_axis
+    strengths = [s for s in spec.values() if s.strength]
+    assert strengths and all(s.default == 0 for s in strengths)
+    held = make(name)
+    for field, s in spec.items():
+        assert getattr(held, field) == s.default
+        assert getattr(held, field).dtype == jnp.float64
+
+
+def test_parameters_are_got_and_put_by_name(rig, declared):
+    full = add(rig, map(make, EFFECTS))
+    names = list(declared)
+    rng = np.random.default_rng(0)
+    values = rng.uniform(size=len(names))
+    assert np.array_equal(get(put(full, names, values), names), values)
+    some = [names[i] for i in rng.permutation(len(names))[:7]]
+    changed = put(full, some, np.arange(7.0))
+    assert np.array_equal(get(changed, some), np.arange(7.0))
+    rest = [n for n in names if n not in some]
+    assert np.array_equal(get(changed, rest), get(full, rest))
+    with pytest.raises(KeyError):
+        put(full, ["no_such.thing"], [1.0])
+
+
+# -- every derivative of the full rig --
+
+
+@pytest.fixture(scope="module")
+def full(rig):
+    """Every effect at once, at a random strength of a typical size."""
+    rng = np.random.default_rng(4)
+    rig = add(rig, map(make, EFFECTS))
+    new = {
+        name: spec.default + spec.scale * rng.uniform(0.3, 1.0)
+        for name, spec in parameter_specs(rig).items()
+        if spec.strength
+    }
+    return put(rig, list(new), list(new.values()))
+
+
+@pytest.fixture(scope="module")
+def batch(log):
+    motion, windows, P_0 = jax.tree.map(jnp.asarray, log[:3])
+    ones = jnp.ones(len(P_0))
+    return Batch(motion, windows, P_0, jnp.asarray(NOISE), jnp.asarray(9e3), ones)
+
+
+def moved(model, values, directions, b, simulate):
+    """Predictions and columns, as a fit makes them."""
+    pressure = driven(model, values, directions, b, simulate)
+    memory = recall(model, values, b.motion)
+    return sensitivities(model, values, directions, b.windows, pressure, memory)
+
+
+@pytest.fixture(scope="module")
+def columns(full, batch):
+    """Predictions, and their derivative to every parameter and nuisance."""
+    model = Model.of(full)
+    slots = (model.hydraulic, len(model.names) - model.hydraulic)
+    directions = basis(model, model.names, slots)
+    run = jax.jit(lambda values, b: moved(model, values, directions, b, True))
+    return model, *(np.asarray(out) for out in run(model.values, batch))
+
+
+@pytest.fixture(scope="module")
+def plain():
+    @jax.jit
+    def predict(rig, b):
+        w, past = b.windows, friction_memory(rig, b.motion).within(b.windows)
+        return readings(rig, w, *pressures(rig, w, b.P_0), past)
+
+    return predict
+
+
+def off(got, want):
+    """Relative error of a column, in units of each channel's noise."""
+    assert np.any(want)
+    return np.linalg.norm((got - want) / NOISE) / np.linalg.norm(want / NOISE)
+
+
+def test_sensitivities_come_with_the_prediction(full, batch, columns, plain):
+    assert np.allclose(columns[1], plain(full, batch), rtol=1e-12)
+
+
+def test_every_parameter_has_its_derivative(full, batch, columns, plain):
+    model, _, dy = columns
+    spec = parameter_specs(full)
+    assert len(dy) == len(model.names) + NUISANCE
+    wrong = {}
+    for i, name in enumerate(model.names):
+        step = 1e-5 * spec[name].scale
+        at = get(full, [name])[0]
+        ahead, back = (plain(put(full, [name], [at + d]), batch) for d in (step, -step))
+        want = np.asarray(ahead - back) / 2e-5
+        if not (error := off(dy[i], want)) < 1e-4:
+            wrong[name] = error
+    assert not wrong
+
+
+def test_initial_pressures_have_their_derivative(full, batch, columns, plain):
+    model, _, dy = columns
+    for i in range(2):
+        shift = 10.0 * np.eye(2)[i]
+        ahead, back = (
+            plain(full, batch._replace(P_0=batch.P_0 + d)) for d in (shift, -shift)
+        )
+        got = dy[len(model.names) + i]
+        assert off(got, np.asarray(ahead - back) / 20.0) < 1e-4
+
+
+def test_supply_errors_have_their_derivative(full, batch, columns):
+    """One standard deviation of each block's mean, as the pressures see it."""
+    model, _, dy = columns
+    w = batch.windows
+    run = jax.jit(
+        lambda P_s: readings(
+            full,
+            w,
+            *pressures(full, w._replace(P_s=P_s), batch.P_0),
+            friction_memory(full, batch.motion).within(w),
+        )
+    )
+    ticks = w.P_s.shape[1]
+    blocks = np.array_split(np.arange(ticks), SUPPLY_BLOCKS)
+    for i, block in enumerate(blocks):
+        shift = np.zeros(ticks)
+        shift[block] = 100.0
+        want = np.asarray(run(w.P_s + shift) - run(w.P_s - shift)) / 200.0
+        got = dy[len(model.names) + 2 + i]
+        assert off(got, want * 9e3 / np.sqrt(len(block))) < 1e-4
+
+
+def test_driven_by_logged_pressures_only_friction_has_derivatives(full, batch):
+    model = Model.of(full)
+    slots = (model.hydraulic, len(model.names) - model.hydraulic)
+    directions = basis(model, model.names, slots)
+    run = jax.jit(lambda values, b: moved(model, values, directions, b, False))
+    dy = np.asarray(run(model.values, batch)[1])
+    # What stretches moves the piston, and friction with it.
+    moves = tuple(f"{effect.name}." for effect in full.stretch)
+    for i, name in enumerate(model.names):
+        seen = i >= model.hydraulic or name.startswith(moves)
+        assert np.any(dy[i]) == seen, name
+    assert not np.any(dy[len(model.names) :])

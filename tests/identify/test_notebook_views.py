@@ -1,0 +1,181 @@
+"""What objects show in a notebook: tables with the numbers, the telling picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+from tests.test_report import OUTCOMES, Page, explained, identified, nothing_missing
+
+from hydrojax.errors import InputError
+from hydrojax.identify.results.outcome import Outcome
+from hydrojax.tune import metrics
+from hydrojax.tune import plan as tune_run
+from tests.tunings import tuned
+
+
+class Tables(HTMLParser):
+    """Every table's rows of cells; fails where a tag is left open."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.open: list[str] = []
+        self.tables: list[list[list[str]]] = []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("td", "th"):
+            self.tables[-1][-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("td", "th"):
+            self.tables[-1][-1][-1] += data
+
+
+def bare(text: str) -> None:
+    """Nothing is asked for from outside, and nothing runs."""
+    page = Page(text)
+    assert not page.addresses and not page.images and "script" not in page.tags
+    assert "url(" not in text and "nan" not in text and "None" not in text
+
+
+@pytest.mark.parametrize("name", OUTCOMES)
+def test_an_outcome_shows_its_verdict_in_a_notebook(name):
+    outcome = OUTCOMES[name]()
+    text = outcome._repr_html_()
+    bare(text)
+    assert f"{outcome.verdict}." in Page(text).said
+    assert outcome.sentence in Page(text).said
+    assert Tables(text).tables
+
+
+def test_an_outcome_shows_effects_channels_and_parameters():
+    effects, channels, found = Tables(explained()._repr_html_()).tables
+    assert effects[1:] == [
+        ["internal leakage", "c_il", "(1.030 ± 0.014) × 10⁻¹² m³/(s·Pa)",
+         "< 10⁻³⁰⁰", ""],
+        ["position friction", "a_1", "0.2100 ± 0.0040", "3 × 10⁻⁴¹",
+         "gravity load or stribeck"],
+    ]  # fmt: skip
+    assert channels[3] == [
+        "F", "2.5 N", "31 N", "2.6 N", "1.04 × noise", "at its noise",
+    ]  # fmt: skip
+    rows = {row[0]: row[1:] for row in found}
+    # 857.6 ± 1.96 * 1.23 MPa
+    assert rows["beta"][:2] == ["857.6 ± 1.2 MPa", "855.19 MPa to 860.01 MPa"]
+    assert "not identified" in rows["k_0"][2]
+    assert "z_ss" not in rows  # held, so nothing was found
+    assert "internal_leakage.c_il" in rows
+
+
+def test_an_outcome_plots_what_tells_most():
+    assert len(explained().plot().axes) == 3  # against what betrays each effect
+    assert len(nothing_missing().plot().axes) == 1
+    assert len(explained().plot("residual").axes) == 6
+    assert isinstance(identified().plot("parameter"), Figure)
+
+
+@pytest.mark.parametrize(
+    ("picture", "says"),
+    [("residuum", "write one of error"), ("loop", "nothing to show in loop")],
+)
+def test_a_picture_that_is_not_there_is_refused_in_one_line(picture, says):
+    with pytest.raises(InputError, match=says):
+        identified().plot(picture)
+
+
+def test_an_outcome_with_nothing_shows_its_sentence():
+    empty = Outcome("identify", "rig", (), (), "nothing missing", "Nothing.", {}, {})
+    assert Tables(empty._repr_html_()).tables == []
+    with pytest.raises(InputError, match="nothing to show"):
+        empty.plot()
+
+
+def test_text_of_a_log_does_not_become_markup():
+    outcome = replace(explained(), rig="<b>rig</b> & co", sentence="a < b")
+    text = outcome._repr_html_()
+    assert "&lt;b&gt;rig&lt;/b&gt; &amp; co" in text and "a &lt; b" in text
+    cells = replace(outcome, channels={"<i>": explained().channels["F"]})
+    assert "<i>" not in cells._repr_html_()
+
+
+# -- the gains --
+
+
+def test_a_tuning_shows_gains_merits_and_limits():
+    t = tuned()
+    text = t._repr_html_()
+    bare(text)
+    gains, merit, limits = Tables(text).tables
+    assert gains[1:] == [
+        ["k_p", "1.2", "1.31", "V/kN"], ["k_f", "2.4", "3.2", "V/kN"],
+    ]  # fmt: skip
+    assert merit[1] == ["Within 1 dB", "16 Hz", "–", "32 Hz", "28 Hz"]
+    assert limits[1] == ["spool: ten times as fast", "38 Hz", "+36 %"]
+    gain, phase = t.plot().axes
+    assert "dB" in gain.get_ylabel() and "deg" in phase.get_ylabel()
+
+
+def sweep(one: bool) -> xr.Dataset:
+    """What a sweep of k_p, or of k_p and k_f, gives; k_p k_f Hz wide."""
+    k_p, k_f = np.array([0.5, 1.0, 2.0]), np.array([1.0] if one else [1.0, 3.0])
+    hertz = metrics.grid(1000.0)
+    band = k_p[:, None] * k_f
+    data = xr.Dataset(
+        attrs={"title": "rig: gains to bandwidth", "rig": "rig", "methods": "linear"}
+    )
+    for name, values, here in (("k_p", k_p, 1.2), ("k_f", k_f, 2.4)):
+        attrs = {"units": "V/kN", "long_name": f"what {name} is", "rig_value": here}
+        data[name] = (name, values, attrs)
+    for name in ("within_1dB", "peak", "lag_90", "radius", "minus_3dB"):
+        values = np.full(band.shape, 0.5) if name == "radius" else band
+        attrs = {"units": "Hz", "long_name": name}
+        data[f"linear_{name}"] = (("k_p", "k_f"), values, attrs)
+    data["linear_hertz"] = ("linear_hertz", hertz, {"units": "Hz"})
+    for name in ("gain", "phase"):
+        table = np.zeros((*band.shape, hertz.size))
+        data[f"linear_{name}"] = (("k_p", "k_f", "linear_hertz"), table)
+    return data
+
+
+def test_a_sweep_shows_its_gist_and_its_axes():
+    text = sweep(one=False).hydrojax._repr_html_()
+    bare(text)
+    said = Page(text).said
+    assert "widest within 1 dB 6.0 Hz at k_p = 2, k_f = 3" in said
+    assert Tables(text).tables[0][1:] == [
+        ["k_p", "what k_p is", "3", "0.5 to 2 V/kN", "1.2"],
+        ["k_f", "what k_f is", "2", "1 to 3 V/kN", "2.4"],
+    ]
+
+
+def test_a_sweep_plots_a_map_or_lines():
+    data = sweep(one=False)
+    titles = [ax.get_title() for ax in data.hydrojax.plot().axes]
+    assert "linearised, adaptation frozen" in titles
+    assert data.hydrojax.plot("peak").get_suptitle() == "rig: peak"
+    assert len(sweep(one=True).hydrojax.plot().axes) == 4
+    assert tune_run.sentences(data)[0].startswith("linear: widest")
+
+
+def test_a_sweep_refuses_what_it_does_not_hold():
+    with pytest.raises(InputError, match="'gain': write one of lag_90, minus_3dB"):
+        sweep(one=False).hydrojax.plot("gain")
+    for part in (xr.Dataset(), sweep(one=False)[["linear_peak"]]):
+        with pytest.raises(InputError, match="no whole sweep"):
+            part.hydrojax.plot("peak")
+    with pytest.raises(InputError, match="no axis is left"):
+        sweep(one=False).isel(k_p=0, k_f=0).hydrojax.plot()

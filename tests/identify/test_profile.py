@@ -1,0 +1,77 @@
+"""Profile likelihood: against scipy on a valley with a bend, and on a log."""
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+from hydrojax.identify import api
+from hydrojax.identify.case import open_case
+from hydrojax.identify.inference.profile import LEVEL, _end, profiles
+from hydrojax.identify.inference.uncertainty import estimate_uncertainty
+from tests import generator
+
+
+class Valley:
+    """Stands in for a `Problem`: chi-square of two parameters, one of them bent."""
+
+    class model:
+        names = ("a", "b")
+        scale = np.array([1.0, 1.0])
+
+    def __init__(self):
+        from hydrojax.identify.estimation.problem import Free
+
+        self.free = {"a": Free(0.5, 0.0, 4.0), "b": Free(0.0, -50.0, 50.0)}
+
+    @staticmethod
+    def chi2(a, b):
+        return (np.exp(a) - np.e) ** 2 / 0.5 + (b - a**2) ** 2 / 0.01
+
+    def solve(self, values, names, weights=None):
+        at = values.copy()
+        assert names == ("b",)
+        at[1] = optimize.minimize_scalar(lambda b: self.chi2(at[0], b)).x
+        out = type("Fit", (), {"cost": self.chi2(*at) / 2})
+        return at, out
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_ends_are_where_chi_square_has_risen(side):
+    """Against the root of the profile by scipy: the interval is not symmetric."""
+    valley, best = Valley(), np.array([1.0, 1.0])
+    point = type("Point", (), {"weights": None})
+    end = _end(valley, best, point, ("a", "b"), "a", side * 0.2, 0.0, LEVEL)
+
+    def off(a):
+        return (np.exp(a) - np.e) ** 2 / 0.5 - LEVEL
+
+    want = optimize.brentq(off, *((0.0, 1.0) if side < 0 else (1.0, 4.0)))
+    assert end == pytest.approx(want, abs=0.03 * abs(want - 1.0) + 1e-3)
+
+
+def test_a_range_that_ends_first_is_the_end():
+    valley, best = Valley(), np.array([1.0, 1.0])
+    valley.free["a"] = type(valley.free["a"])(0.5, 0.9, 4.0)
+    point = type("Point", (), {"weights": None})
+    assert _end(valley, best, point, ("a", "b"), "a", -0.2, 0.0, LEVEL) == 0.9
+
+
+def test_a_log_gives_intervals_like_its_covariance(tmp_path):
+    """Where the fit is nearly linear both agree, and both hold the truth mostly."""
+    import json
+
+    generator.write_case(tmp_path, 5, seconds=5.0, nominal_error=0.1)
+    logs = [tmp_path / "fit_1.csv", tmp_path / "fit_2.csv"]
+    state = api.fit_case(open_case(tmp_path / "rig.toml", logs), 1)
+    few = ("beta", "c_p1", "k_cp", "k_fp")
+    belief = estimate_uncertainty(state.problem, state.point, state.free)
+    # Only these are walked; the others follow all the same.
+    found = profiles(state.problem, state.point, state.free, belief, walk=few)
+    truth = json.loads((tmp_path / "truth.json").read_text())["rig"]
+    held = 0
+    for name in few:
+        low, high = found[name]
+        std = belief.std[name]
+        assert (high - low) / (2 * 1.96 * std) == pytest.approx(1.0, abs=0.35)
+        held += low < truth[name] < high
+    assert held >= 3

@@ -1,0 +1,135 @@
+"""A position that is measured coarsely: what is known of its noise, and what that does.
+
+Truth is what was put in: noise of a known size on closed forms, and logs of the
+independent generator under an encoder of fewer bits.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hydrojax.identify import api
+from hydrojax.identify.case import Case, open_case
+from hydrojax.identify.preparation.noise import SensorNoise, sensor_noise_of
+from hydrojax.logs.log import read_log
+from tests import generator
+
+TIME = np.arange(12_000) * 1e-3
+MOTION = sum(
+    a * 1e-6 * np.sin(2 * np.pi * f * TIME + p)
+    for a, f, p in ((9000, 0.4, 0.1), (400, 5.0, 1.0), (60, 17.0, 2.0))
+)
+
+
+def sensor_noise(x: np.ndarray) -> SensorNoise | None:
+    return sensor_noise_of([(TIME, x)])
+
+
+@pytest.mark.parametrize("sigma", [0.5e-6, 8e-6])
+def test_white_noise_of_a_position_is_measured(sigma):
+    noise = sigma * np.random.default_rng(1).normal(size=TIME.size)
+    found = sensor_noise(MOTION + noise)
+    assert found.sigma == pytest.approx(sigma, rel=0.1)
+    assert found.step == 0.0
+    assert 17.0 < found.cut < 100.0
+    left = found.smoothed(TIME, MOTION + noise) - MOTION
+    assert np.std(left[300:-300]) < 0.5 * sigma
+
+
+@pytest.mark.parametrize("rate", [100.0, 512.0, 1000.3, 1024.0, 3000.0])
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+def test_noise_is_measured_at_any_rate(rate, jitter):
+    """Stamps with six digits, and uneven by a tenth of a tick."""
+    draw = np.random.default_rng(3)
+    ticks = np.arange(int(12 * rate))
+    t = np.round((ticks + jitter * draw.uniform(-1, 1, ticks.size)) / rate, 6)
+    motion = 9e-3 * np.sin(2 * np.pi * 0.4 * t) + 4e-4 * np.sin(2 * np.pi * 5.0 * t)
+    found = sensor_noise_of([(t, motion + 2e-6 * draw.normal(size=t.size))])
+    assert found.sigma == pytest.approx(2e-6, rel=0.2)
+    assert np.std((found.smoothed(t, motion) - motion)[100:-100]) < 2e-6
+
+
+def test_a_still_piece_says_nothing():
+    assert sensor_noise_of([(TIME[:1000] + 17.3, np.full(1000, 0.1))]) is None
+
+
+def test_steps_of_a_position_are_seen():
+    step = 5e-6
+    found = sensor_noise(np.round(MOTION / step) * step)
+    assert found.step == pytest.approx(step, rel=1e-6)
+    assert found.sigma == pytest.approx(step / math.sqrt(12), rel=0.2)
+
+
+def test_motion_without_a_floor_has_no_noise():
+    """What falls all the way to the end of the spectrum."""
+    rough = np.cumsum(np.random.default_rng(2).normal(size=TIME.size)) * 1e-6
+    assert sensor_noise(rough) is None
+
+
+def coarse_case(folder: Path, monkeypatch, bits: int, effects=None) -> Case:
+    monkeypatch.setattr(generator, "ENCODER", 2 * math.pi / 2**bits)
+    generator.write_case(folder, 1, effects)
+    logs = [folder / f"fit_{i}.csv" for i in (1, 2)]
+    return open_case(folder / "rig.toml", logs, [folder / "validate.csv"])
+
+
+def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
+    case = coarse_case(tmp_path, monkeypatch, 23)
+    np.testing.assert_array_equal(case.fit.noise, [9e3, 9e3, 2.5])
+    assert not any("the position is known to" in note for note in case.fit.notes)
+    raw = read_log(tmp_path / "fit_1.csv")
+    np.testing.assert_array_equal(case.fit_logs[0].signals["psi"], raw.signals["psi"])
+
+
+def test_under_a_coarse_encoder_nothing_missing_is_still_the_answer(
+    tmp_path, monkeypatch
+):
+    """Seventeen bits are 4 um: as they are, they move F by many times its noise."""
+    case = coarse_case(tmp_path, monkeypatch, 17)
+    assert any("the position is known to 1." in note for note in case.fit.notes)
+    assert 4.0 < case.fit.noise[2] < 12.0 and case.fit.noise[0] > 9e3
+    found = api.trace_case(case)
+    assert found.verdict == "nothing missing" and not found.effects
+    for channel in found.channels.values():
+        assert 0.7 < channel.after / channel.noise < 1.1
+
+
+def test_under_a_coarse_encoder_an_effect_is_still_named(tmp_path, monkeypatch):
+    effects = {"internal_leakage": generator.CATALOGUE["internal_leakage"]}
+    found = api.trace_case(coarse_case(tmp_path, monkeypatch, 17, effects))
+    assert [e.name for e in found.effects] == ["internal_leakage"]
+    assert found.verdict == "explained", found.sentence
+    c_il = found.effects[0].parameters["c_il"].value
+    assert c_il == pytest.approx(effects["internal_leakage"]["c_il"], rel=0.03)
+
+
+def without_command(case: Path, folder: Path) -> Case:
+    """The case with its pressures as what drives."""
+    for name in ("fit_1", "fit_2", "validate"):
+        log = pd.read_csv(case / f"{name}.csv").drop(columns="u [V]")
+        log.to_csv(folder / f"{name}.csv", index=False)
+    logs = [folder / f"{name}.csv" for name in ("fit_1", "fit_2")]
+    return open_case(case / "rig.toml", logs, [folder / "validate.csv"])
+
+
+def test_noise_of_pressures_that_drive_is_not_taken_for_a_lag(recorded, tmp_path):
+    """9 kPa on 11.8 cm^2 twice are 15 N, six times the load cell's noise."""
+    case = without_command(recorded(1), tmp_path)
+    assert any("the pressures drive, and are noisy" in note for note in case.fit.notes)
+    assert 3.0 < case.fit.noise[2] < 10.0
+    found = api.trace_case(case)
+    assert found.verdict == "nothing missing" and not found.effects
+
+
+def test_friction_is_named_where_noisy_pressures_drive(recorded, tmp_path):
+    effects = {"stribeck": generator.CATALOGUE["stribeck"]}
+    found = api.trace_case(without_command(recorded(6, effects), tmp_path))
+    assert [e.name for e in found.effects] == ["stribeck"]
+    assert found.verdict == "explained", found.sentence
+    k_st = found.effects[0].parameters["k_st"].value
+    assert k_st == pytest.approx(effects["stribeck"]["k_st"], rel=0.05)

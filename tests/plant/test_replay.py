@@ -1,0 +1,281 @@
+"""The replay: the one step in pieces, against scipy, by order, by layout, in lanes."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import root_scalar
+
+from hydrojax.effects import EFFECTS
+from hydrojax.plant import rod
+from hydrojax.plant.named import get, parameter_specs, put
+from hydrojax.plant.replay import friction_memory, pressures, readings
+from hydrojax.plant.rig import State, StepInput, add, bare_rig
+
+DIFFERENTIAL = {"area_1": 1.96e-3, "area_2": 1.18e-3, "chamber_length": 0.2}
+NAMES = ("c_p1", "c_n1", "c_p2", "c_n2", "beta", "delta_1", "delta_2")
+
+
+def arrays(log):
+    return jax.tree.map(jnp.asarray, log[:3])
+
+
+def replay(rig, log):
+    """What the sensors read, [W, T, 3]."""
+    motion, w, P_0 = log
+    past = friction_memory(rig, motion).within(w)
+    return readings(rig, w, *pressures(rig, w, P_0), past)
+
+
+# -- the one step --
+
+
+def everything(rig):
+    """Every effect at once, each strength about half its typical size."""
+    rig = add(rig, [effect() for effect in EFFECTS.values()])
+    spec = parameter_specs(rig)
+    strengths = [name for name, s in spec.items() if s.strength]
+    share = np.linspace(0.3, 0.9, len(strengths))
+    rig = put(rig, strengths, share * [spec[name].scale for name in strengths])
+    # Late: what is early a replay knows, and a step has to foresee.
+    return put(rig, ["channel_skew.tau_s"], [-0.4e-3])
+
+
+def by_steps(rig, log):
+    """`Rig.step` scanned over each window, [W, lead+T-1, 3], from its first tick."""
+    motion, w, P_0 = log
+    ticks = w.u.shape[1]
+    P = pressures(rig, w, P_0)
+    past = friction_memory(rig, motion)
+    silent = eqx.tree_at(
+        lambda r: [r.sensor_P, r.sensor_F],
+        rig,
+        [(), ()],
+        is_leaf=lambda part: isinstance(part, tuple),
+    )
+    unscored = w._replace(measured=jnp.zeros((len(P_0), ticks, 3)))
+    true = readings(silent, unscored, *P, past.within(w))
+
+    def sensors(channels, y):
+        return rig.sense_init(channels, y[:, 0], (y[:, 1] - y[:, 0]) / w.h[:, 0])[0]
+
+    memory, _ = jax.lax.scan(
+        lambda m, tick: rig.command_step(m, *tick),
+        rig.command_init(w.before[:, 0]),
+        (w.before.T, w.before_h.T),
+    )
+    state = State(
+        command=memory,
+        P=(P_0[:, 0], P_0[:, 1]),
+        z=past.z[w.seg, w.first],
+        speed=past.speed[w.seg, w.first],
+        sensor_P=tuple(sensors(rig.sensor_P, true[..., i]) for i in range(2)),
+        sensor_F=sensors(rig.sensor_F, true[..., 2]),
+    )
+    index = w.seg[:, None], w.first[:, None] + jnp.arange(1, ticks)
+    along = StepInput(
+        h=w.h[:, :-1],
+        u=w.u[:, :-1],
+        P_s=jnp.stack([w.P_s[:, :-1], w.P_s[:, 1:]], axis=-1),
+        P_r=jnp.stack([w.P_r[:, :-1], w.P_r[:, 1:]], axis=-1),
+        x=w.x_fine,
+        dx=motion.dx[w.seg[:, None], w.first[:, None] + jnp.arange(ticks - 1)],
+        v=w.v[:, 1:],
+        a=w.a[:, 1:],
+        t=w.t[:, 1:],
+        F=jnp.stack([w.F[:, :-1], w.F[:, 1:]], axis=-1),
+        F_rate=rod.rate(motion.F, motion.h)[index],
+    )
+    along = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), along)
+    _, signals = jax.lax.scan(lambda s, tick: rig.step(s, tick), state, along)
+    out = jnp.stack([signals[name] for name in ("P_a1", "P_a2", "F")], axis=-1)
+    return jnp.moveaxis(out, 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("dress", "substeps"), [(lambda rig: rig, 1), (everything, 2)], ids=["bare", "full"]
+)
+def test_steps_give_what_the_pieces_give(rig, drive, dress, substeps):
+    rig, log = dress(rig), arrays(drive(substeps, jitter=0.05))
+    whole, steps = map(
+        np.asarray, jax.jit(lambda r: (replay(r, log), by_steps(r, log)))(rig)
+    )
+    steps = steps[:, -whole.shape[1] :]
+    size = np.max(np.abs(whole), axis=(0, 1))
+    assert np.max(np.abs(steps - whole) / size) < 1e-9
+
+
+def test_a_rig_starts_at_rest(rig, drive):
+    """Held at rest with the valve shut, nothing moves."""
+    rig = everything(rig)
+    lane = jnp.full(2, 1.0)
+    off = (
+        "internal_leakage.c_il", "external_leakage.c_el", "valve_bias.u_0",
+        "underlap.u_ul", "pressure_sensor_bias.b_1", "pressure_sensor_bias.b_2",
+    )  # fmt: skip
+    rig = put(rig, off, [0.0] * 6)
+    state = rig.init(0 * lane, 6e6 * lane, 7e6 * lane, 1e-3 * lane)
+    pair = jnp.stack([14e6 * lane] * 2, axis=-1)
+    still = StepInput(
+        h=1e-3 * lane,
+        u=0 * lane,
+        P_s=pair,
+        P_r=pair * 0 + 0.25e6,
+        x=jnp.full((2, 3), 1e-3),
+        dx=jnp.zeros((2, 4)),
+        v=0 * lane,
+        a=0 * lane,
+        t=0 * lane,
+    )
+    after, signals = jax.jit(lambda s, tick: rig.step(s, tick))(state, still)
+    assert np.allclose(after.P, state.P, rtol=1e-14)
+    assert not np.any(after.z) and not np.any(after.speed)
+    assert np.allclose(signals["P_a1"], 6e6, rtol=1e-12)
+    assert np.allclose(signals["P_a2"], 7e6, rtol=1e-12)
+
+
+# -- the pressures against scipy --
+
+
+def solve_pressures(rig, log, areas):
+    """(12)-(15) in plain NumPy, the command held, the supply linear over a tick."""
+    c_p1, c_n1, c_p2, c_n2, beta, delta_1, delta_2 = np.asarray(get(rig, NAMES))
+    w, out = log.windows, []
+
+    def rates(t, P, i, k, x):
+        u = w.u[i, k]
+        share = (t - w.t[i, k]) / (w.t[i, k + 1] - w.t[i, k])
+        P_s = w.P_s[i, k] + share * (w.P_s[i, k + 1] - w.P_s[i, k])
+        P_r = w.P_r[i, k] + share * (w.P_r[i, k + 1] - w.P_r[i, k])
+        if u > 0:
+            q_1 = c_p1 * np.sqrt(P_s - P[0]) * u
+            q_2 = -c_n2 * np.sqrt(P[1] - P_r) * u
+        else:
+            q_1 = c_n1 * np.sqrt(P[0] - P_r) * u
+            q_2 = -c_p2 * np.sqrt(P_s - P[1]) * u
+        v = x(t, 1)
+        return (
+            beta / (areas[0] * (0.1 + delta_1 - x(t))) * (q_1 + areas[0] * v),
+            beta / (areas[1] * (0.1 + delta_2 + x(t))) * (q_2 - areas[1] * v),
+        )
+
+    for i, P in enumerate(log.P_0):
+        x = log.waves[w.seg[i]]["x"]
+        scenario = [P]
+        for k in range(w.u.shape[1] - 1):
+            span = (w.t[i, k], w.t[i, k + 1])
+            P = solve_ivp(
+                rates, span, P, args=(i, k, x), method="DOP853", rtol=1e-11, atol=1e-3
+            ).y[:, -1]
+            scenario.append(P)
+        out.append(scenario)
+    return np.array(out)  # [W, T, 2]
+
+
+LAYOUTS = [
+    ("pull-pull", {"area": 1.18e-3, "chamber_length": 0.2}, (1.18e-3, 1.18e-3)),
+    ("differential", DIFFERENTIAL, (1.96e-3, 1.18e-3)),
+]
+
+
+def pressure_errors(rig, drive, truth, substeps):
+    """Greatest error relative to the pressure, over windows, ticks and chambers."""
+    _, w, P_0 = arrays(drive(substeps, jitter=0.05))
+    got = np.stack(jax.jit(pressures)(rig, w, P_0), axis=-1)
+    return np.max(np.abs(got / truth - 1))
+
+
+@pytest.mark.parametrize(("layout", "geometry", "areas"), LAYOUTS)
+def test_pressures_follow_their_equations(reference, drive, layout, geometry, areas):
+    """Against an adaptive solver, and of second order in the step."""
+    rig = reference(bare_rig(layout, geometry))
+    truth = solve_pressures(rig, drive(jitter=0.05), areas)
+    assert truth.min() > 0.5e6 and truth.max() < 13.5e6
+    steps = np.array([1, 2, 4, 8])
+    errors = [pressure_errors(rig, drive, truth, n) for n in steps]
+    assert errors[0] < 1e-5
+    order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert order > 1.8
+
+
+# -- layouts --
+
+
+def output_force(P, f_c, L, k_fp=0.7, k_fn=0.6, delta=1 / 900):
+    def gap(F):
+        k = k_fp if F > 0 else k_fn
+        return F + L * k * F / (1 + delta * abs(F)) - (P - (1 - L) * f_c)
+
+    return root_scalar(gap, bracket=(-1e6, 1e6), xtol=1e-10).root
+
+
+def forces(rig, log, drive_force):
+    """F at the scored ticks by (1)-(7), (16), (22); the drive force from the log."""
+    motion, w, _ = arrays(log)
+    z, speed, _ = map(np.asarray, jax.jit(friction_memory)(rig, motion))
+    windows, ticks, _ = log.windows.measured.shape
+    out = np.zeros((windows, ticks))
+    lead = log.windows.x.shape[1] - ticks
+    for i, k in np.ndindex(windows, ticks):
+        at = (log.windows.seg[i], log.windows.first[i] + lead + k)
+        v, bristle = log.windows.v[i, lead + k], np.clip(z[at] / 60e-6, -1, 1)
+        level = 900.0 if bristle > 0 else 1200.0
+        f_c = level * bristle + 100.0 - (3e3 if v > 0 else -2e3) * v
+        L = 1 / (1 + (300 * speed[at]) ** 3)
+        P = drive_force(log.windows.P_a1[i, lead + k], log.windows.P_a2[i, lead + k])
+        out[i, k] = output_force(P, f_c, L)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("layout", "geometry", "drive_force"),
+    [
+        ("pull-pull", {"area": 1.18e-3}, lambda a, b: 1.18e-3 * (b - a)),
+        ("differential", DIFFERENTIAL, lambda a, b: 1.18e-3 * b - 1.96e-3 * a),
+        ("single", {"area": 1.3e-3}, lambda a, b: 1.3e-3 * b),
+        ("driven-axis", None, lambda a, b: b),
+    ],
+)
+def test_force_from_given_pressures(reference, drive, layout, geometry, drive_force):
+    """What each layout makes of the pressures; P_a2 is P itself on a driven axis."""
+    rig, log = reference(bare_rig(layout, geometry)), drive()
+    if layout == "driven-axis":
+        w = log.windows
+        w = w._replace(P_a1=0 * w.P_a1, P_a2=(w.P_a2 - 6e6) / 1e3)
+        log = log._replace(windows=w)
+    motion, w, _ = arrays(log)
+    past = jax.jit(friction_memory)(rig, motion).within(w)
+    got = jax.jit(readings)(rig, w, w.P_a1, w.P_a2, past)
+    want = forces(rig, log, drive_force)
+    assert np.allclose(got[..., 2], want, rtol=1e-9, atol=1e-6)
+    lead = w.x.shape[1] - w.scored
+    assert np.array_equal(got[..., 0], w.P_a1[:, lead:])
+    assert np.array_equal(got[..., 1], w.P_a2[:, lead:])
+
+
+def test_unknown_layouts_and_missing_areas_are_refused():
+    with pytest.raises(ValueError, match="unknown layout"):
+        bare_rig("rotary", {"area": 1e-3})
+    with pytest.raises(KeyError):
+        bare_rig("differential", {"area": 1e-3})
+
+
+# -- lanes --
+
+
+def test_lanes_are_a_loop(rig, drive):
+    log, names = arrays(drive()), ["beta", "c_p1", "k_cp", "z_ss", "valve_lag.tau"]
+    rig = add(rig, [EFFECTS["valve_lag"]()])
+    rng = np.random.default_rng(1)
+    size = np.array([8.5e8, 2.2e-9, 900.0, 60e-6, 5e-4])
+    lanes = jnp.asarray(size * rng.uniform(0.8, 1.2, (4, 5)))
+
+    def run(values):
+        return replay(put(rig, names, values), log)
+
+    together, one = jax.jit(jax.vmap(run))(lanes), jax.jit(run)
+    for lane, got in zip(lanes, together, strict=True):
+        assert np.allclose(got, one(lane), rtol=1e-11, atol=1e-9)
+    assert np.max(np.abs(together[0] - together[1])) > 1.0

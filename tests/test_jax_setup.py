@@ -1,0 +1,126 @@
+"""Setting JAX up: what reaches XLA, when it is too late, and what compiles nothing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from hydrojax import jax_setup
+from hydrojax.identify import api
+from hydrojax.identify.case import Case, open_case
+from hydrojax.identify.estimation.columns import Model, basis
+from hydrojax.identify.estimation.misfit import sums
+from hydrojax.identify.estimation.problem import filled
+
+LOOP = """
+import jax, jax.numpy as jnp
+def step(c, _):
+    return (c[1], 0.5 * c[0] + jnp.sin(c[1])), c[0]
+out = jax.jit(lambda a: jax.lax.scan(step, (a, a), None, length=50)[1])(jnp.arange(3.0))
+print(jax.config.jax_enable_x64, float(out.sum()))
+"""
+
+
+def python(text: str, **flags: str) -> str:
+    """What a fresh process prints."""
+    own = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"} | flags
+    done = subprocess.run(
+        [sys.executable, "-c", text], env=own, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_every_setting_is_taken_by_this_xla_and_changes_no_result():
+    said = {
+        python(
+            f"from hydrojax.jax_setup import *\nprint(set_up_jax(work={work!r}))" + LOOP
+        )
+        for work in (jax_setup.FITS, jax_setup.LOOPS)
+    }
+    assert len(said) == 1
+    assert said.pop().startswith("True\nTrue ")
+
+
+def test_the_users_own_options_are_left_alone():
+    own = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=false"
+    text = "import os\nfrom hydrojax.jax_setup import *\nset_up_jax(work=LOOPS)\n"
+    assert python(text + "print(os.environ['XLA_FLAGS'])", XLA_FLAGS=own) == own
+
+
+def test_too_late_is_said_and_the_rest_holds():
+    said = python(
+        "import jax, warnings\njax.devices()\nfrom hydrojax.jax_setup import *\n"
+        "with warnings.catch_warnings(record=True) as heard:\n"
+        "    warnings.simplefilter('always')\n"
+        "    print(set_up_jax(), heard[0].message, jax.config.jax_enable_x64)"
+    )
+    assert said.startswith("False JAX is running already") and said.endswith("True")
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 33, 90, 180, 296, 23_499, 80_001])
+def test_buckets_hold_what_is_put_in_and_waste_little(count):
+    for least in (1, 8):
+        size = jax_setup.bucket(count, least)
+        assert size >= count
+        assert size - count < max(least, 0.25 * count + 1)
+    assert len({jax_setup.bucket(n) for n in range(8, 8 * 2**10 + 1)}) <= 4 * 10 + 4
+
+
+def cut(case: Path, folder: Path, rows: int) -> Case:
+    """A recorded case with its logs cut short at their end."""
+    folder.mkdir()
+    for path in case.glob("*.csv"):
+        lines = path.read_text().splitlines()[:-rows]
+        (folder / path.name).write_text("\n".join(lines) + "\n")
+    logs = [folder / "fit_1.csv", folder / "fit_2.csv"]
+    return open_case(case / "rig.toml", logs, [folder / "validate.csv"])
+
+
+def test_windows_that_fill_up_change_nothing(recorded, tmp_path):
+    case = cut(recorded(1), tmp_path / "short", 700)
+    problem = api.fit_case(case, starts=1).problem
+    values, batch = problem.initial_values(), problem.batch
+    more = filled(batch)
+    assert len(more.P_0) == jax_setup.bucket(len(batch.P_0)) > len(batch.P_0)
+    assert np.sum(more.weight) == len(batch.P_0)
+    found = problem.sums_at(values)
+    model = problem.model
+    directions = basis(model, model.names, _every(model))
+    wanted = jax.jit(lambda v, b: sums(model, v, directions, b, True))(values, batch)
+    for got, want in zip(found, wanted, strict=True):
+        assert got.shape == want.shape
+        assert np.allclose(got, want, rtol=1e-9, atol=1e-9 * np.max(np.abs(want)))
+
+
+def _every(model: Model) -> tuple[int, int]:
+    return model.hydraulic, len(model.names) - model.hydraulic
+
+
+def test_logs_of_another_length_and_rig_compile_nothing(recorded, tmp_path, compiled):
+    api.identify(cut(recorded(1), tmp_path / "one", 100), starts=1)
+    compiled.clear()
+    api.identify(cut(recorded(6), tmp_path / "other", 450), starts=1)
+    assert compiled == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_programs_are_let_go_before_the_kernel_runs_out_of_mappings(recorded, tmp_path):
+    def mapped() -> int:
+        return len(Path("/proc/self/maps").read_text().splitlines())
+
+    case = cut(recorded(1), tmp_path / "one", 100)
+    before = api.identify(case, starts=1)
+    held = mapped()
+    assert not jax_setup.make_room()
+    allowed = int(Path("/proc/sys/vm/max_map_count").read_text())
+    assert jax_setup.make_room(0.9 * held / allowed)
+    assert mapped() < held - 1000
+    again = api.identify(case, starts=1)
+    assert again.parameters == before.parameters

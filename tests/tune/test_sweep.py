@@ -1,0 +1,324 @@
+"""Quantities by name, axes in words, sweeps in chunks, NetCDF, maps, the command."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from hydrojax import cli
+from hydrojax.errors import InputError
+from hydrojax.paper.experiments import reference
+from hydrojax.rigfile.quantities import open_setting, quantities
+from hydrojax.tune import axes, measure, metrics, plots, sweep
+
+SPEC, _ = reference()
+RIG = SPEC.path
+
+
+@pytest.fixture(scope="module")
+def setting():
+    return open_setting(SPEC)
+
+
+@pytest.fixture(scope="module")
+def known(setting):
+    return quantities(SPEC, setting)
+
+
+def plan_of(setting, known, words, methods=("linear",), **more):
+    given = {"multisine": measure.multisine(1000.0, period=0.5, lines=12)}
+    return sweep.prepare(
+        sweep.Plan(setting, axes.read_axes(words, known), known, methods,
+                   excitations=given, rig="reference rig", **more)
+    )  # fmt: skip
+
+
+# -- quantities --
+
+
+def test_every_quantity_is_read_as_it_was_set(setting, known):
+    for q in known.values():
+        value = 0.5 * float(q.get(setting)) + 0.25
+        assert float(q.get(q.put(setting, value))) == pytest.approx(value, rel=1e-12)
+
+
+def test_the_paper_s_units(setting, known):
+    kappa = 1.18e-4
+    assert float(known["k_p"].get(setting)) == pytest.approx(1.2)
+    assert float(setting.loop.law.k_p) == pytest.approx(1.2e-3 * kappa)
+    assert float(known["valve_lag.omega"].get(setting)) == pytest.approx(1257)
+    assert float(known["rate"].get(setting)) == pytest.approx(1000)
+    assert known["beta"].number("0.9 GPa", "") == pytest.approx(9e8)
+    assert known["k_p"].number("1.5e-3 V/N", "") == pytest.approx(1.5)
+
+
+def test_a_plant_s_parameter_leaves_the_law_alone(setting, known):
+    other = known["k_cp"].put(setting, 2000.0)
+    assert float(other.loop.rig.mechanics.k_cp) == 2000
+    assert float(other.loop.law.nominal.mechanics.k_cp) == 1250
+    both = known["k_cp_hat"].put(setting, 0.9)
+    assert float(both.loop.law.lower.k_cp) == float(both.loop.law.upper.k_cp) == 900
+
+
+def test_an_effect_the_rig_has_not_is_put_in_absent():
+    s = open_setting(SPEC, extra=("internal_leakage.c_il",))
+    known = quantities(SPEC, s)
+    assert float(known["internal_leakage.c_il"].get(s)) == 0
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [
+        ("k_pp=1:2:3", "did you mean 'k_p'"),
+        ("k_p", "write NAME=START:STOP:COUNT"),
+        ("k_p=1:2", "START:STOP:COUNT"),
+        ("k_p=1:2:1", "count of 2 or more"),
+        ("k_p=-1:2:4:log", "above 0"),
+        ("k_p=1,1", "twice"),
+        ("beta=1 kg:2 kg:3", "kg"),
+        ("load.mass=1:2:3", "under [load]"),
+        ("rate=0:1000:3", "above 0"),
+    ],
+)
+def test_bad_axes_are_refused_in_one_line(known, word, says):
+    with pytest.raises(InputError, match=says.replace("[", r"\[")) as err:
+        axes.read_axis(word, known)
+    assert "\n" not in str(err.value)
+
+
+def test_axes(known):
+    assert axes.read_axis("k_p=1:3:3", known).values.tolist() == [1, 2, 3]
+    log = axes.read_axis("beta=1e8 Pa:1e10 Pa:3:log", known)
+    np.testing.assert_allclose(log.values, [1e8, 1e9, 1e10])
+    assert axes.read_axis("v=0,1 cm/s", known).values.tolist() == [0, 0.01]
+    with pytest.raises(InputError, match="1 to 4"):
+        axes.read_axes([f"{n}=1,2" for n in ("k_p", "k_f", "x", "v", "F_0")], known)
+
+
+# -- sweeps --
+
+
+def test_chunks_change_nothing(setting, known):
+    words = ["k_p=0.5:3:3", "k_f=1:4:3"]
+    methods = ("linear", "multisine")
+    whole = sweep.run(plan_of(setting, known, words, methods, chunk=9))
+    parts = sweep.run(plan_of(setting, known, words, methods, chunk=4))
+    for name, table in whole.data_vars.items():
+        scale = float(np.nanmax(np.abs(table))) or 1.0
+        np.testing.assert_allclose(parts[name], table, rtol=1e-12, atol=1e-12 * scale)
+
+
+ON_TWO = """
+import sys
+from pathlib import Path
+import jax
+from hydrojax.backend import set_up_jax
+set_up_jax(Path(sys.argv[1]))
+from tests import test_sweep as t
+setting = t.open_setting(t.SPEC)
+known = t.quantities(t.SPEC, setting)
+plan = t.plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine"))
+assert jax.local_device_count() == 2 and t.sweep.chunk_size(plan, "multisine") == 6
+t.sweep.run(plan, Path(sys.argv[2]))
+"""
+
+
+def test_devices_share_a_sweep_and_change_nothing(setting, known, tmp_path, cache_home):
+    """An odd number of cells on two devices of the processor."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    two = f"{flags} --xla_force_host_platform_device_count=2"
+    subprocess.run(
+        [sys.executable, "-c", ON_TWO, cache_home / "hydrojax", tmp_path],
+        env=os.environ | {"XLA_FLAGS": two}, check=True, timeout=300,
+    )  # fmt: skip
+    shared = xr.load_dataset(tmp_path / "sweep.nc")
+    alone = sweep.run(plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine")))
+    assert shared.data_vars.keys() == alone.data_vars.keys()
+    for name, table in alone.data_vars.items():
+        scale = float(np.nanmax(np.abs(table))) or 1.0
+        np.testing.assert_allclose(shared[name], table, rtol=1e-12, atol=1e-12 * scale)
+
+
+def test_other_values_compile_nothing(setting, known, compiled):
+    def swept(words):
+        return sweep.run(plan_of(setting, known, words, ("linear", "multisine")))
+
+    swept(["k_p=0.5:1:2", "k_f=1:2:2"])
+    compiled.clear()
+    swept(["k_p=0.6:1.3:2", "k_f=0.9:2.2:2"])
+    assert compiled == []
+
+
+def test_a_cell_is_the_rig_with_its_values(setting, known):
+    """The map's cell at the rig's own gains, alone."""
+    data = sweep.run(plan_of(setting, known, ["k_p=0.6,1.2", "k_f=2.4,4.8"]))
+    alone = sweep.run(plan_of(setting, known, ["x=0,0.01"]))
+    for name in metrics.UNITS:
+        here = float(data[f"linear_{name}"].sel(k_p=1.2, k_f=2.4))
+        assert here == pytest.approx(float(alone[f"linear_{name}"].sel(x=0)), rel=1e-9)
+    assert 14 < float(data.linear_within_1dB.sel(k_p=1.2, k_f=2.4)) < 20
+
+
+def test_a_stopped_sweep_goes_on_and_a_done_one_does_nothing(
+    setting, known, tmp_path, monkeypatch
+):
+    plan = plan_of(setting, known, ["k_p=0.5:3:6"], chunk=2)
+
+    def stop(done, total):
+        assert total == 6
+        if done >= 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sweep.run(plan, tmp_path, stop)
+    kept = sorted((tmp_path / "parts").iterdir())
+    assert len(kept) == 2 and not (tmp_path / "sweep.nc").exists()
+    old = [p.stat().st_mtime_ns for p in kept]
+    seen = []
+    data = sweep.run(plan, tmp_path, lambda *a: seen.append(a))
+    assert [p.stat().st_mtime_ns for p in kept] == old and seen[-1] == (6, 6)
+    monkeypatch.setattr(sweep, "_Work", None)  # nothing is worked out again
+    again = sweep.run(plan, tmp_path)
+    xr.testing.assert_identical(again, xr.load_dataset(tmp_path / "sweep.nc"))
+    np.testing.assert_array_equal(again.linear_peak, data.linear_peak)
+    with pytest.raises(InputError, match="another sweep"):
+        sweep.run(plan_of(setting, known, ["k_p=0.5:3:5"]), tmp_path)
+
+
+def test_the_ensemble_and_what_95_percent_reach(setting, known):
+    plants = axes.ensemble(setting, 5)
+    assert np.all(np.abs(plants.values / plants.values[0] - 1) <= 0.2)
+    plan = plan_of(setting, known, ["k_p=0.6,1.2"], plants=plants)
+    data = sweep.run(plan)
+    assert data.linear_within_1dB.dims == ("plant", "k_p")
+    least = np.quantile(np.nan_to_num(data.linear_within_1dB), 0.05, axis=0)
+    np.testing.assert_allclose(data.linear_within_1dB_95, least)
+
+
+def test_a_report_s_ensemble(setting, tmp_path):
+    report = {
+        "parameters": {
+            "beta": {"value": 8e8, "std": 8e6}, "k_cp": {"value": 1e3, "std": 50.0},
+            "z_ss": {"value": 6e-5, "std": None},
+        },
+        "effects": [],
+    }  # fmt: skip
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    plants = axes.from_report(setting, tmp_path, 4000)
+    assert plants.names == ("beta", "k_cp") and "without correlations" in plants.says
+    np.testing.assert_allclose(plants.values[0], [8e8, 1e3])
+    np.testing.assert_allclose(plants.values.std(0), [8e6, 50], rtol=0.05)
+    matrix = [[64e12, -0.9 * 8e6 * 50], [-0.9 * 8e6 * 50, 2500]]
+    report["covariance"] = {"names": ["beta", "k_cp"], "matrix": matrix}
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    values = axes.from_report(setting, tmp_path, 4000).values
+    assert np.corrcoef(values.T)[0, 1] == pytest.approx(-0.9, abs=0.02)
+    with pytest.raises(InputError, match="no report"):
+        axes.from_report(setting, tmp_path / "none", 3)
+
+
+def test_plants_of_a_covariance_keep_every_scale(setting, tmp_path):
+    """From pascals to flows: the small parameters are not drowned in the large."""
+    std = {"beta": 5e6, "c_p1": 6e-14, "z_ss": 1.2e-7}
+    value = {"beta": 8.5e8, "c_p1": 2.24e-9, "z_ss": 6e-5}
+    both = np.diag([s**2 for s in std.values()])
+    both[0, 1] = both[1, 0] = 0.5 * std["beta"] * std["c_p1"]
+    report = {
+        "parameters": {n: {"value": value[n], "std": std[n]} for n in std},
+        "effects": [],
+        "covariance": {"names": list(std), "matrix": both.tolist()},
+    }
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    drawn = axes.from_report(setting, tmp_path, 4000).values
+    np.testing.assert_allclose(drawn.std(axis=0), list(std.values()), rtol=0.05)
+    assert abs(np.corrcoef(drawn.T)[0, 1] - 0.5) < 0.05
+
+
+def test_moving_points_settle(setting, known):
+    """A joint that is moved has its valve open, and friction that slides."""
+    data = sweep.run(plan_of(setting, known, ["v=-0.01,0,0.01"]))
+    assert np.all(data.linear_radius < 1)
+    still, moved = (float(data.linear_within_1dB.sel(v=v)) for v in (0.0, 0.01))
+    assert moved > still > 14  # presliding lowers the loop's gain; sliding does not
+
+
+def test_friction_makes_bandwidth_depend_on_amplitude(setting, known):
+    data = sweep.run(
+        plan_of(setting, known, ["amplitude=2,4000"], ("linear", "multisine"))
+    )
+    off = data.multisine_within_1dB / data.linear_within_1dB
+    assert (
+        float(data.multisine_saturation[0]) == 0 < float(data.multisine_saturation[1])
+    )
+    assert abs(float(off[0]) - 1) > 0 and float(off[1]) < 0.9
+
+
+# -- the command and its pictures --
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "sweep"
+    words = ["hydrojax", "sweep", RIG, "--over", "k_p=0.2:4:5", "k_f=0.2:6:5",
+             "--at", "F_0=100", "--out", str(out)]  # fmt: skip
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as done:
+        cli.main()
+    assert done.value.code in (0, None)
+    data = xr.load_dataset(out / "sweep.nc")
+    assert data.linear_within_1dB.dims == ("k_p", "k_f")
+    assert data.k_p.attrs["units"] == "V/kN" and data.attrs["F_0"] == 100
+    assert data.linear_gain_margin.attrs["units"] == "dB"
+    assert "frozen" in data.attrs["adaptation"]
+    names = {p.name for p in out.glob("*.png")}
+    assert names == {"map_within_1dB.png", "map_peak.png", "bode.png"}
+    assert "linear: widest within 1 dB" in capsys.readouterr().out
+    r = data.linear_radius.values
+    assert np.any(r > 1) and np.all(np.isnan(data.linear_within_1dB.values[r > 1]))
+    text = [t.get_text() for t in plots.map_figure(data).legends[0].get_texts()]
+    assert {"the paper's gains", "edge of stability"} <= set(text)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--over", "k_q=1:2:3"], "unknown quantity 'k_q'"),
+        (["--over", "k_p=1:2:3", "--by", "sines"], "--by 'sines'"),
+        (["--over", "k_p=1:2:3", "--at", "v=fast"], "--at 'v=fast'"),
+        (["--over", "rate=500,1000", "--by", "multisine"], "--by linear"),
+    ],
+)
+def test_bad_words_exit_with_2(tmp_path, monkeypatch, capsys, words, says):
+    argv = ["hydrojax", "sweep", RIG, *words, "--out", str(tmp_path / "o")]
+    monkeypatch.setattr(sys, "argv", argv)
+    with pytest.raises(SystemExit) as done:
+        cli.main()
+    assert done.value.code == 2
+    said = capsys.readouterr().err
+    assert says in said and said.count("\n") == 1
+
+
+def test_disagreement_and_saturation_are_on_the_map(setting, known):
+    words = ["k_f=1:6:3", "amplitude=10:3000:3:log"]
+    data = sweep.run(plan_of(setting, known, words, ("linear", "multisine")))
+    fig = plots.map_figure(data)
+    titles = [ax.get_title() for ax in fig.axes]
+    assert "where they disagree" in titles
+    assert "linearised, adaptation frozen" in titles
+    text = [t.get_text() for t in fig.legends[0].get_texts()]
+    assert "saturates > 1 %" in text
+    assert set(plots.figures(data)) >= {"map_within_1dB", "map_rms_error", "bode"}
+
+
+def test_an_axis_of_one_value_is_no_axis_of_a_picture(setting, known):
+    """Two axes, one of a single value: lines over the other, and its Bode plots."""
+    data = sweep.run(plan_of(setting, known, ["k_p=1.2", "k_f=1,2.4"]))
+    assert plots.axes_of(data) == ["k_p", "k_f"]
+    assert set(plots.figures(data)) == {"lines", "bode"}
+    alone = sweep.run(plan_of(setting, known, ["k_p=1.2"]))
+    assert set(plots.figures(alone)) == {"lines", "bode"}

@@ -1,0 +1,163 @@
+"""Friction bounds: the box's coverage, its refinement through the loop, the command."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hydrojax import cli
+from hydrojax.control.inputs import to_and_fro
+from hydrojax.control.simulation import make_scenario
+from hydrojax.identify.estimation.box import Stretch, smallest_box
+from hydrojax.paper.experiments import reference
+from hydrojax.plant.named import put
+from hydrojax.rigfile import controller
+from hydrojax.tune.refine import Plants, refine, tracking, with_bounds
+
+NAMES = ("k_cp", "k_cn", "k_0")
+WIDE = [(-1e6, 1e6)] * 3
+
+
+def fits(rng, count, mean, between, own):
+    """Stretches of a friction that varies by `between` and is measured within `own`."""
+    root, noise = np.linalg.cholesky(between), np.linalg.cholesky(own)
+    for _ in range(count):
+        theta = mean + root @ rng.normal(size=3) + noise @ rng.normal(size=3)
+        yield Stretch("log", 0.0, 2.0, theta, own)
+
+
+def test_the_box_holds_the_next_stretch_as_often_as_it_says():
+    """Coverage over 300 sets of ten stretches, of a truth that took no part."""
+    rng = np.random.default_rng(3)
+    mean = np.array([900.0, 700.0, 50.0])
+    between = np.array([[1600.0, 900, 0], [900, 2500, -100], [0, -100, 400]])
+    own = np.diag([100.0, 64.0, 36.0])
+    inside = 0
+    for _ in range(300):
+        box = smallest_box(NAMES, list(fits(rng, 10, mean, between, own)), 0.9, WIDE)
+        new = mean + np.linalg.cholesky(between) @ rng.normal(size=3)
+        inside += bool(np.all((new >= box.lower) & (new <= box.upper)))
+    # Three standard deviations of a share of 0.9 out of 300 are 0.052.
+    assert 0.9 - 0.052 < inside / 300 < 0.9 + 0.052
+
+
+def test_noise_alone_makes_no_wide_box():
+    """What is only uncertainty of the single stretch shrinks with their number."""
+    rng = np.random.default_rng(4)
+    mean, own = np.array([900.0, 700.0, 50.0]), np.diag([400.0] * 3)
+    still = list(fits(rng, 40, mean, 1e-6 * np.eye(3), own))
+    box = smallest_box(NAMES, still, 0.95, WIDE)
+    naive = [Stretch(f.log, f.start, f.seconds, f.theta, 0 * own) for f in still]
+    whole = smallest_box(NAMES, naive, 0.95, WIDE)
+    wide, taken = box.upper - box.lower, whole.upper - whole.lower
+    assert np.all(wide < 0.8 * taken) and np.median(wide / taken) < 0.6
+    assert np.all((mean > box.lower) & (mean < box.upper))
+
+
+def test_the_box_keeps_inside_what_may_be():
+    rng = np.random.default_rng(5)
+    few = list(fits(rng, 3, np.zeros(3), 1e4 * np.eye(3), np.eye(3)))
+    box = smallest_box(NAMES, few, 0.95, [(0.0, 50.0)] * 3)
+    assert np.all(box.lower >= 0) and np.all(box.upper <= 50)
+
+
+@pytest.fixture(scope="module")
+def loop_and_courses():
+    spec, rig = reference()
+    loop = controller.make_loop(spec, rig)
+    t = np.arange(2000) * 1e-3
+    F_d = 300 * np.sin(2 * np.pi * 0.7 * t)
+    scenarios = [
+        make_scenario(F_d, to_and_fro(0.03, period), 1e-3, **spec.supply, seed=1)
+        for period in (1.0, 1.6)
+    ]
+    return loop, jax.tree.map(lambda *a: jnp.stack(a), *scenarios)
+
+
+def test_refined_bounds_track_better_on_other_plants(loop_and_courses):
+    """Bounds far off are mended on two plants; a third, unseen, gains too."""
+    loop, scenarios = loop_and_courses
+    theta = np.array([[1250.0, 850.0], [1150.0, 950.0]])
+    plants = Plants(("k_cp", "k_cn"), theta)
+    lower, upper = np.array([300.0, 1200.0]), np.array([700.0, 1600.0])
+    limits = [(0.0, 3000.0)] * 2
+    found = refine(loop, plants, scenarios, lower, upper, limits)
+    assert np.all(found[0] <= found[1])
+    assert np.all(found[0] >= 0) and np.all(found[1] <= 3000)
+    other = Plants(("k_cp", "k_cn"), np.array([[1200.0, 900.0]]))
+
+    def error(ends):
+        held = with_bounds(loop, other.names, *ends)
+        return np.sqrt(np.mean(tracking(held, other, scenarios) ** 2))
+
+    assert error(found) < 0.5 * error((lower, upper))
+
+
+def test_tracking_of_a_plant_is_its_run(loop_and_courses):
+    """Against the same plant run by itself, its error taken by hand."""
+    from hydrojax.control.loop import run
+
+    loop, scenarios = loop_and_courses
+    other = put(loop.rig, ("k_cp",), jnp.array([1100.0]))
+    import equinox as eqx
+
+    alone = eqx.tree_at(lambda lo: lo.rig, loop, other)
+    scenario = jax.tree.map(lambda a: a[1], scenarios)
+    F = np.asarray(run(alone, scenario, ("true_F",)))[:, 0]
+    off = (np.asarray(scenario.F_d) - F)[500:]
+    got = tracking(loop, Plants(("k_cp",), np.array([[1100.0]])), scenarios)
+    assert got.shape == (1, 2)
+    assert got[0, 1] == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-9)
+
+
+def test_the_command_needs_a_range(tmp_path, capsys, monkeypatch):
+    from importlib import resources
+
+    rig = resources.files("hydrojax") / "reference" / "rig.toml"
+    monkeypatch.chdir(tmp_path)
+    main(f"simulate {rig} --seconds 4 --out a.csv", monkeypatch)
+    with pytest.raises(SystemExit) as end:
+        main(f"bounds {rig} a.csv --out out", monkeypatch)
+    assert end.value.code == 2
+    said = capsys.readouterr().err.strip()
+    assert said.count("\n") == 0 and "range" in said
+    assert not (tmp_path / "out").exists()
+
+
+def main(words, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["hydrojax", *words.split()])
+    try:
+        cli.main()
+    except SystemExit as end:
+        if end.code not in (0, None):
+            raise
+
+
+def test_the_command_writes_a_rig_with_bounds(tmp_path, capsys, monkeypatch):
+    """Two logs of the reference rig: the rig written carries bounds that hold it."""
+    from importlib import resources
+
+    from hydrojax.rigfile.build import load_rig
+
+    text = (resources.files("hydrojax") / "reference" / "rig.toml").read_text()
+    for name, start, low, high in (("k_cp", 1.1, 0, 3), ("k_cn", 1.0, 0, 3)):
+        old = next(x for x in text.splitlines() if x.startswith(f"{name} ="))
+        new = f'{name} = {{ start = "{start} kN", range = ["{low} kN", "{high} kN"] }}'
+        text = text.replace(old, new, 1)
+    (tmp_path / "rig.toml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    for seed in (1, 2):
+        main(
+            f"simulate rig.toml --seconds 5 --seed {seed} --out {seed}.csv", monkeypatch
+        )
+    main("bounds rig.toml 1.csv --validate 2.csv --out out", monkeypatch)
+    new = load_rig(tmp_path / "out" / "rig.toml")
+    assert len(new.controller["k_cp"]) == 2
+    found = json.loads((tmp_path / "out" / "bounds.json").read_text())
+    box = found["bounds"]["box"]
+    assert box["k_cp"][0] < 1100 < box["k_cp"][1]  # the logs' rig file says 1.1 kN
+    errors = found["tracking_rms_N"]["others"]
+    assert errors["refined"] < 1.2 * errors["box"]
+    assert (tmp_path / "out" / "bounds.png").stat().st_size > 10_000

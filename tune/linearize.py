@@ -1,0 +1,189 @@
+"""The sampled closed loop as a linear system at its operating point.
+
+The Jacobian of the loop's own step, from the desired force of one sample to the output
+force of the next: the hold, the delay's queue, the spool, filters and sensors are in
+it because they are in the step. Adaptation is frozen (`point.frozen`).
+
+At rest three things have a corner: the valve's lands and the law's inverse of them at
+u = 0, and presliding at F = 0. The Jacobian is the mean of those on both sides, the
+first harmonic that one such corner gives a small sine. The Coulomb level does not show
+at rest, since L(t) is 1 there; a deadband shows as a loop that is dead.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array
+
+from hydrojax.control.adaptive import ControllerSignals, Law, Measured, Memory
+from hydrojax.control.loop import step
+from hydrojax.rigfile.quantities import Setting
+from hydrojax.tune import operating_point
+
+INPUTS = ("F_d", "u", "P_a1", "P_a2", "F")
+"""Desired force (N), what is added to the command (V or 1), and the noise of three
+sensors, standard normal numbers."""
+
+OUTPUTS = ("F", "u")
+"""The output force itself (N) and the command with what was added to it."""
+
+NUDGE = 1e-6
+"""How far from a corner its sides are looked at: of u_max."""
+
+
+class Tapped(eqx.Module):
+    """A law to whose command something is added."""
+
+    law: Law
+    push: Array
+
+    @property
+    def nominal(self):
+        """The rig as the law believes it to be."""
+        return self.law.nominal
+
+    def step(
+        self, memory: Memory, seen: Measured, F_d: Array, h: Array
+    ) -> tuple[Memory, Array, ControllerSignals]:
+        """As the law's."""
+        memory, u, thought = self.law.step(memory, seen, F_d, h)
+        return memory, u + self.push, thought
+
+
+class System(NamedTuple):
+    """`s' = A s + B i`, `o = C s + D i` from sample to sample.
+
+    Shapes: `A` [n, n], `B` [n, 5], `C` [2, n], `D` [2, 5], of `INPUTS` and `OUTPUTS`;
+    `h` s.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    h: Array
+
+
+def _sides(setting: Setting, carry: Any) -> list[tuple[Any, Array]]:
+    """The state on both sides of rest's corners, and what F_d is nudged by, N."""
+    out = []
+    for sign in (1.0, -1.0):
+        nudge = -sign * NUDGE * setting.loop.law.u_max
+        command = jax.tree.map(
+            lambda a, b: jnp.where(a == 0, b, a),
+            carry.plant.command,
+            setting.loop.rig.command_init(nudge),
+        )
+        P_1, P_2 = carry.plant.P
+        plant = carry.plant._replace(command=command, P=(P_1, P_2 + sign))
+        out.append((carry._replace(plant=plant), sign * 1e-2))
+    return out
+
+
+class States(NamedTuple):
+    """Which numbers of the memory are states: `at` [k], and of them the first of each
+    group that is always equal; `group` [k] says of each to which it belongs.
+    """
+
+    at: tuple[int, ...]
+    group: tuple[int, ...]
+
+
+def _jacobian(
+    setting: Setting, carry: Any, nudge: Array, states: States | None
+) -> System:
+    flat, unravel = ravel_pytree(carry)
+    if states is None:
+        every = tuple(range(flat.size))
+        states = States(every, every)
+    index, group = np.array(states.at), np.array(states.group)
+    lead = index[[states.group.index(g) for g in range(max(states.group) + 1)]]
+    loop = operating_point.frozen(setting.loop)
+
+    def advance(off, i):
+        noise = jnp.stack([i[2], i[3], jnp.zeros_like(i[4]), i[4]])
+        one = operating_point.scenario(
+            setting, (setting.F_0 + i[0])[None], noise[None], jnp.zeros(1)
+        )
+        tapped = eqx.tree_at(lambda lo: lo.law, loop, Tapped(loop.law, i[1]))
+        state = unravel(flat.at[index].add(off[group]))
+        new, now = step(tapped, state, operating_point.at(one, 0))
+        return ravel_pytree(new)[0][lead], jnp.stack([now["true_F"], now["u"]])
+
+    i = jnp.zeros(len(INPUTS)).at[0].set(nudge)
+    (A, B), (C, D) = jax.jacfwd(advance, argnums=(0, 1))(jnp.zeros(lead.size), i)
+    return System(A, B, C, D, loop.h)
+
+
+def system(setting: Setting, carry: Any, states: States | None = None) -> System:
+    """The loop's linear system.
+
+    Args:
+        setting: the loop and its point.
+        carry: the memory there, as `point.start` gives it.
+        states: which numbers of the memory matter, as `find_states` tells; all if
+            None.
+    """
+    sides = jax.tree.map(lambda *a: jnp.stack(a), *_sides(setting, carry))
+    both = jax.vmap(lambda side: _jacobian(setting, *side, states=states))(sides)
+    return jax.tree.map(lambda a: jnp.mean(a, axis=0), both)
+
+
+def find_states(systems: System) -> States:
+    """Which numbers of the memory lie between an input and an output.
+
+    Args:
+        systems: full ones, stacked [m, ...], of settings that span those to come.
+
+    What no input reaches stays where it is; what reaches no output is nobody's
+    business: the queue beyond the delay, mean pressures, estimates. Of numbers that
+    always become the same, such as a reading without lag and what it reads, one will
+    do.
+    """
+    rows = np.concatenate([np.asarray(systems.A), np.asarray(systems.B)], axis=-1)
+    A, B, C = (np.any(np.asarray(a) != 0, axis=0) for a in systems[:3])
+    reached, seen = B.any(axis=1), C.any(axis=0)
+    for _ in range(A.shape[0]):
+        reached = reached | (A @ reached)
+        seen = seen | (seen @ A)
+    at = np.flatnonzero(reached & seen)
+    group, leads = [], []
+    for i in at:
+        size = np.max(np.abs(rows[:, i]))
+        same = (
+            g
+            for g, lead in enumerate(leads)
+            if np.max(np.abs(rows[:, i] - rows[:, lead])) <= 1e-13 * size
+        )
+        g = next(same, len(leads))
+        if g == len(leads):
+            leads.append(i)
+        group.append(g)
+    return States(tuple(int(i) for i in at), tuple(group))
+
+
+def response(s: System, hertz: Array) -> Array:
+    """Frequency response, [len(hertz), 2, 5], complex."""
+    n = s.A.shape[0]
+    z = jnp.exp(2j * jnp.pi * hertz * s.h)
+
+    def one(z):
+        return s.C @ jnp.linalg.solve(z * jnp.eye(n) - s.A, s.B.astype(complex)) + s.D
+
+    return jax.vmap(one)(z)
+
+
+def radius(s: System) -> Array:
+    """The largest |eigenvalue| but those of what stays put: below 1, it is stable.
+
+    A mean pressure with the valve shut, or a free mass's place, stays put: an
+    eigenvalue of 1 within 1e-7.
+    """
+    values = jnp.linalg.eigvals(s.A)
+    return jnp.max(jnp.where(jnp.abs(values - 1) < 1e-7, 0.0, jnp.abs(values)))

@@ -1,0 +1,154 @@
+"""Where a loop is looked at: its operating point, with the adaptation stopped there.
+
+At rest the point is the force F_0 on the output, the valve shut. Where the piston is
+moved at a constant speed, a load has to settle, or a leak asks for flow, it is where a
+slow loop that has brought the force to F_0 stands after `SETTLE` seconds, at `x`: the
+place goes on changing from there, so the point holds for motions that are short beside
+the chambers. The slow loop has gains of its own, so that the point is the same for all
+gains, those of an unstable loop too. A law without integral action that has a leak to
+feed runs at a force of its own instead: there what is measured is beside this point.
+
+The estimates that are adapted stand at the plant's own values, or at the bound next to
+them (`adapted`), or where the law starts them, midway between their bounds.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hydrojax.control.adaptive import Estimates, truth, within
+from hydrojax.control.loop import Loop, Scenario, begin, step
+from hydrojax.control.simulation import PARTS
+from hydrojax.plant.load import Driven, EnvironmentMotion
+from hydrojax.rigfile.quantities import Setting
+
+SETTLE = 0.8
+"""Seconds in which a point that has to be found is settled: five time constants of
+the reference load, eight of L(t)'s filter."""
+
+DRIFT = 1.0
+"""Change of a pressure within a sample (Pa) below which a point is at rest."""
+
+LEVEL = 10.0
+"""Rate (1/s) at which the settling loop brings the force itself to F_0: leakage or a
+bias would leave it somewhere else, and the gains would say where."""
+
+SLOW = 60.0
+"""Bandwidth (rad/s) of the loop that settles."""
+
+
+def estimates(loop: Loop, adapted: bool = True) -> Estimates:
+    """Where the nine estimates stand, SI."""
+    law = loop.law
+
+    def one(true, lower, upper, rate):
+        middle = (lower + upper) / 2
+        return jnp.where(rate > 0, within(true, lower, upper), middle) if adapted else (
+            middle
+        )  # fmt: skip
+
+    return jax.tree.map(one, truth(loop.rig), law.lower, law.upper, law.rate)
+
+
+def frozen(loop: Loop) -> Loop:
+    """The loop with its adaptation stopped."""
+    zero = jax.tree.map(jnp.zeros_like, loop.law.rate)
+    return eqx.tree_at(lambda lo: lo.law.rate, loop, zero)
+
+
+def scenario(setting: Setting, F_d: Array, noise: Array, t: Array) -> Scenario:
+    """A course at the setting's speed and supply that is at `x` at t = 0.
+
+    Args:
+        setting: the loop and its point.
+        F_d: desired force, [n], N.
+        noise: [n, 4], standard normal numbers.
+        t: [n], s; a constant supply and speed, so any times will do.
+    """
+    h = setting.loop.h
+    halves = t[:, None, None] + h / PARTS * (
+        jnp.arange(PARTS)[:, None] + jnp.array([0.0, 0.5, 1.0])
+    )
+    n = t.shape[0]
+    v = jnp.broadcast_to(setting.v, (n, PARTS))
+    environment = EnvironmentMotion(
+        setting.x + setting.v * halves, v, jnp.zeros_like(v)
+    )
+    P_s, P_r = (jnp.broadcast_to(p, (n, 2)) for p in (setting.P_s, setting.P_r))
+    return Scenario(t, F_d, noise, P_s, P_r, environment)
+
+
+def at(given: Scenario, k: int | Array) -> Scenario:
+    """One row of a course."""
+    return jax.tree.map(lambda a: a[k], given)
+
+
+def still(settings: Setting) -> bool:
+    """Whether the points of some settings, stacked [m, ...], need no settling.
+
+    At rest they need none if nothing moves from where `start` puts it: leakage, a
+    valve's bias or an estimate that is off make it move.
+    """
+    if bool(jnp.any(settings.v != 0)):
+        return False
+    if not isinstance(settings.loop.load, Driven) and bool(jnp.any(settings.F_0 != 0)):
+        return False
+
+    def drift(s: Setting) -> Array:
+        carry = start(s)
+        one = scenario(s, s.F_0[None], jnp.zeros((1, 4)), jnp.zeros(1))
+        after = step(_slow(s.loop), carry, at(one, 0))[0]
+        off = [b - a for a, b in zip(carry.plant.P, after.plant.P, strict=True)]
+        return jnp.max(jnp.abs(jnp.stack(off)))
+
+    return bool(jnp.all(jax.jit(jax.vmap(drift))(settings) < DRIFT))
+
+
+def _slow(loop: Loop) -> Loop:
+    """The loop that settles: its adaptation stopped, its gains its own."""
+    slow = SLOW / loop.rig.chambers.beta / 2
+    return eqx.tree_at(lambda lo: (lo.law.k_p, lo.law.k_f), frozen(loop), (slow, slow))
+
+
+def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
+    """What the loop remembers at its operating point.
+
+    Args:
+        setting: the loop and its point.
+        adapted: whether the adapted estimates stand at the plant's values.
+        settle: samples in which a slow loop settles; 0 at rest, see `still`.
+    """
+    loop = setting.loop
+    n = max(settle, 1)
+    t = (jnp.arange(n) - settle) * loop.h
+    given = scenario(setting, jnp.broadcast_to(setting.F_0, (n,)), jnp.zeros((n, 4)), t)
+    law = loop.law
+    loop = _slow(loop)
+    carry = begin(loop, given)
+    believed = estimates(setting.loop, adapted)
+    P_d = law.desired(believed, carry.law.z, carry.law.v, carry.law.speed, given.F_d[0])
+    memory = carry.law._replace(estimates=believed, P_d=P_d[0])
+    # The environment may be moving from the first sample on.
+    memory = memory._replace(v=setting.v, speed=jnp.abs(setting.v))
+    plant = carry.plant._replace(speed=carry.plant.speed + jnp.abs(setting.v))
+    carry = carry._replace(
+        law=memory, plant=plant, motion=carry.motion._replace(v=setting.v)
+    )
+    if not settle:
+        return carry
+
+    def body(state, tick):
+        c, off = state
+        c = step(loop, c, tick._replace(F_d=tick.F_d + off))[0]
+        return (c, off + loop.h * LEVEL * (setting.F_0 - c.F)), None
+
+    carry, _ = jax.lax.scan(body, (carry, jnp.zeros_like(setting.F_0)), given)[0]
+    memory = carry.law
+    P_d = law.desired(believed, memory.z, memory.v, memory.speed, setting.F_0)[0]
+    memory = memory._replace(P_d=P_d, P_d_rate=jnp.zeros_like(P_d))
+    return carry._replace(law=memory)

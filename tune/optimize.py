@@ -1,0 +1,134 @@
+"""Gains by descent: SLSQP with exact slopes, from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+
+from hydrojax.tune.objective import KEEPS, Goal
+
+MOST_STEPS = 40
+REACH = 30.0
+"""How many times above or below where it starts a gain may go."""
+
+TIGHT = 0.02
+"""A constraint within this of its end is one that holds the bandwidth back."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The gains found, and what they give.
+
+    Attributes:
+        gains: in their units.
+        log_band: log of the smooth bandwidth of the worst plant.
+        slack: what is left of each constraint, by name; < 0 is broken.
+        starts: bandwidth (Hz) that each start came to, NaN where it broke something.
+    """
+
+    gains: np.ndarray
+    log_band: float
+    slack: dict[str, float]
+    starts: tuple[float, ...]
+
+    @property
+    def kept(self) -> bool:
+        """Whether nothing is broken."""
+        return min(self.slack.values()) > -TIGHT
+
+
+def tune(
+    goal: Goal,
+    starts: int = 4,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+    begin: np.ndarray | None = None,
+) -> Found:
+    """The widest loop that keeps all limits.
+
+    Args:
+        goal: what is wanted.
+        starts: descents, the first from the present gains, the others at random.
+        seed: of the random ones.
+        tell: hears what is being done.
+        begin: where the first starts, if not from the present gains.
+
+    Returns:
+        The best of those that break nothing; the one that breaks least if all do.
+    """
+    here = np.array([max(g, f) for g, f in zip(
+        goal.here(), (_floor(q.name) for q in goal.free), strict=True)])  # fmt: skip
+    first = here if begin is None else np.maximum(begin, 1e-9 * here)
+    rng = np.random.default_rng([seed, 31])
+    tries = [first] + [
+        here * np.exp(rng.uniform(-np.log(10), np.log(3), here.size))
+        for _ in range(starts - 1)
+    ]
+    ends: list[Found] = []
+    for i, x in enumerate(tries):
+        progress(f"descent {i + 1} of {len(tries)}")
+        ends.append(_descend(goal, here, _stable(goal, x)))
+    kept = [e for e in ends if e.kept]
+    best = (
+        max(kept, key=lambda e: e.log_band)
+        if kept
+        else max(ends, key=lambda e: min(e.slack.values()))
+    )
+    bands = tuple(float(np.exp(e.log_band)) if e in kept else np.nan for e in ends)
+    return Found(best.gains, best.log_band, best.slack, bands)
+
+
+def _floor(name: str) -> float:
+    """Where a descent over a log scale begins for what may be 0."""
+    return {"tau_d": 2e-4, "tau_v": 2e-4}.get(name, 1e-6)
+
+
+def _stable(goal: Goal, x: np.ndarray) -> np.ndarray:
+    """`x` with its feedback lowered until the loop is stable."""
+    feedback = np.array([q.name in ("k_p", "k_f") for q in goal.free])
+    for _ in range(8):
+        if goal.scores(x)[2]:
+            break
+        x = np.where(feedback, 0.6 * x, x)
+    return x
+
+
+def _descend(goal: Goal, here: np.ndarray, x: np.ndarray) -> Found:
+    seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+    def look(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        key = y.tobytes()
+        if key not in seen:
+            gains = here * np.exp(y)
+            value, slope, sound = goal.scores(gains)
+            if not sound:  # beyond the edge: nothing there is worth going to
+                value, slope = np.full(value.size, -10.0), np.zeros(slope.shape)
+            seen[key] = value, slope * gains
+        return seen[key]
+
+    done = optimize.minimize(
+        lambda y: -look(y)[0][0],
+        np.log(x / here),
+        jac=lambda y: -look(y)[1][0],
+        bounds=[(-np.log(REACH), np.log(REACH))] * x.size,
+        constraints={"type": "ineq", "fun": lambda y: look(y)[0][1:],
+                     "jac": lambda y: look(y)[1][1:]},
+        method="SLSQP",
+        options={"maxiter": MOST_STEPS, "ftol": 1e-4},
+    )  # fmt: skip
+    # The last point may be one of the line search; take the best that was looked at.
+    best = max(
+        seen.items(),
+        key=lambda item: (
+            item[1][0][0] + 20 * min(0.0, item[1][0][1:].min() + TIGHT / 2)
+        ),
+    )
+    y = np.frombuffer(best[0]) if best else done.x
+    value = best[1][0]
+    return Found(
+        here * np.exp(y), float(value[0]),
+        dict(zip(KEEPS, map(float, value[1:]), strict=True)), (),
+    )  # fmt: skip
