@@ -36,7 +36,7 @@ def own(folder: str) -> Build:
 
     Answers `params` [16] and `P_0` [W, 2].
     """
-    from hydrojax.identify.case import fit_case
+    from hydrojax.identify.api import fit_case
 
     case = opened(folder)
 

@@ -33,7 +33,7 @@ Tell = Callable[[str], None]
 
 def fit_long(folder: str) -> dict[str, Any]:
     """Read a log and fit it twice; seconds of each, and the log's own size."""
-    from hydrojax.identify.case import fit_case
+    from hydrojax.identify.api import fit_case
 
     began = time.perf_counter()
     case = opened(folder)
@@ -55,7 +55,7 @@ def scores(folder: str, count: int) -> Build:
     """The windows' sums along every parameter of a model with `count` candidates:
     what a trace looks at before it refits any.
     """
-    from hydrojax.identify.case import applicable
+    from hydrojax.identify.api import applicable
     from hydrojax.identify.estimation.problem import Problem, free_parameters
     from hydrojax.rigfile.build import make_effects, make_rig
 

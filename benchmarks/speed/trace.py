@@ -45,7 +45,8 @@ def twice(call: Callable[[], Any]) -> tuple[Any, dict[str, float]]:
 def traced(folder: str) -> dict[str, Any]:
     """Trace the case twice: reading the logs, fits, verdict."""
     from benchmarks.trace.tracing import trace_folder
-    from hydrojax.identify.case import applicable, open_case
+    from hydrojax.identify.api import applicable
+    from hydrojax.identify.case import open_case
 
     place = Path(folder) / "case"
     row, seconds = twice(lambda: trace_folder(place, oracle=False, baselines=False))

@@ -75,7 +75,7 @@ def test_every_page_is_there(site):
     "name",
     [
         "hydrojax.identify.case.open_case",
-        "hydrojax.identify.case.trace_case",
+        "hydrojax.identify.api.trace_case",
         "hydrojax.identify.results.outcome.Outcome.plot",
         "hydrojax.plant.rig.Rig.step",
         "hydrojax.control.loop.run",
