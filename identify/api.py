@@ -37,7 +37,7 @@ from hydrojax.identify.results.summary import summarise
 from hydrojax.identify.tracing.loop import trace
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import Effect, specs
-from hydrojax.rigfile.build import make_effects, make_rig
+from hydrojax.rigfile.build import build_rig, effects_of
 from hydrojax.rigfile.edit import rewrite
 
 Tell = Callable[[str], None]
@@ -70,9 +70,8 @@ def _problems(
     case: Case, candidates: Sequence[str]
 ) -> tuple[Problem, Problem, tuple[str, ...], dict[str, Effect]]:
     """Problems on both sets of logs, the free parameters, the candidates' modules."""
-    names = (*case.spec.effects, *candidates)
-    effects = make_effects(names, case.spec, case.fit.travel)
-    rig = make_rig(case.spec, effects)
+    effects = effects_of(candidates, case.spec)
+    rig = build_rig(case.spec, candidates)
     free = free_parameters(case.spec)
     known = dict(free)
     for name in candidates:
@@ -85,8 +84,7 @@ def _problems(
     problem = Problem.of(rig, free, case.fit)
     check = Problem.of(rig, free, case.check)
     use = in_play(problem, case.fit)
-    dormant = {n: e for n, e in effects.items() if n in candidates}
-    return replace(problem, free=known), check, use, dormant
+    return replace(problem, free=known), check, use, effects
 
 
 def _fit_base(
@@ -262,7 +260,7 @@ def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
         return ()
     added = tuple(a.name for a in state.added)
     log = case.check_logs[0]
-    done = check_loop(case.spec, log, state.named, added, case.fit.travel)
+    done = check_loop(case.spec, log, state.named, added)
     return (done,) if done else ()
 
 
@@ -282,7 +280,6 @@ def _outcome(command, case, state, base, began, compiled, progress, profile) -> 
             case.spec,
             state.named,
             [a.name for a in state.added],
-            travel=case.fit.travel,
         ),
     )
     total = time.perf_counter() - began

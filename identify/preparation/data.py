@@ -173,7 +173,7 @@ def driver(logs: Sequence[Log], spec: RigFile) -> str:
                 "logs that are fitted together need the same signals"
             )
     pressures = {"P_a2"} if spec.layout == "single" else {"P_a1", "P_a2"}
-    force = "F" in has or "F" in spec.load
+    force = "F" in has or "F" in spec.output_load
     name = logs[0].name
     if spec.layout == "driven-axis":
         if "P" not in has:

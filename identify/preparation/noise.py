@@ -9,7 +9,7 @@ import numpy as np
 from scipy import interpolate, signal
 
 from hydrojax.logs.log import Log
-from hydrojax.plant.rig import bare_rig
+from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile
 
 FLAT = 1.5
@@ -154,7 +154,7 @@ def channel_noise(logs: Sequence[Log], spec: RigFile, driven_by: str) -> np.ndar
             continue
         if name != "F" and name not in logs[0].signals:
             continue
-        if name == "F" and "F" not in logs[0].signals and "F" not in spec.load:
+        if name == "F" and "F" not in logs[0].signals and "F" not in spec.output_load:
             continue
         if name in spec.sensors:
             out[c] = spec.sensors[name]
@@ -173,8 +173,8 @@ def supply_noise_of(logs: Sequence[Log], spec: RigFile) -> float:
 
 
 def force_areas(spec: RigFile) -> tuple[float, float]:
-    """Areas on which P_a1 and P_a2 push, m^2; see `bare_rig`."""
-    rig = bare_rig(spec.layout, spec.geometry)
+    """Areas on which P_a1 and P_a2 push, m^2; see `Rig`."""
+    rig = build_rig(spec)
     return float(rig.force_area_1), float(rig.force_area_2)
 
 
