@@ -191,6 +191,24 @@ def test_a_stopped_sweep_goes_on_and_a_done_one_does_nothing(
         sweep.run(plan_of(setting, known, ["k_p=0.5:3:5"]), tmp_path)
 
 
+def test_a_sweep_is_not_resumed_with_adaptation_frozen_or_freed(
+    setting, known, tmp_path
+):
+    words, methods = ["k_p=0.6,1.2"], ("multisine",)
+    runs, stands = (
+        plan_of(setting, known, words, methods, frozen=frozen)
+        for frozen in (False, True)
+    )
+    assert runs.key() != stands.key()
+    for i, (kept, other) in enumerate([(runs, stands), (stands, runs)]):
+        folder = tmp_path / str(i)
+        todo = sweep.left(kept, folder)
+        assert todo == [("multisine", 0)] == sweep.left(kept, folder)
+        for resume in (sweep.run, sweep.left):
+            with pytest.raises(InputError, match="another sweep"):
+                resume(other, folder)
+
+
 def test_the_ensemble_and_what_95_percent_reach(setting, known):
     plants = axes.ensemble(setting, 5)
     assert np.all(np.abs(plants.values / plants.values[0] - 1) <= 0.2)
