@@ -120,7 +120,7 @@ from pathlib import Path
 import jax
 from hydrojax.backend import set_up_jax
 set_up_jax(Path(sys.argv[1]))
-from tests import test_sweep as t
+from tests.tune import test_sweep as t
 setting = t.open_setting(t.SPEC)
 known = t.quantities(t.SPEC, setting)
 plan = t.plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine"))
