@@ -120,10 +120,10 @@ def build_loop(
     Raises:
         InputError: an invalid key, unit or value, or a rig without a valve.
     """
-    if file.layout == "driven-axis":
+    if not file.layout.has_valve:
         raise InputError(
-            f"{file.path}: layout 'driven-axis' has no valve to close a loop with; "
-            "give the rig's areas and another layout"
+            f"{file.path}: layout {file.layout.name!r} has no valve to close a "
+            "loop with; give the rig's areas and another layout"
         )
     nominal = build_rig(replace(file, effects={}))
     keys = file_keys(file) | read_keys(where, gains or {}, file)

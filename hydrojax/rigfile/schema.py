@@ -11,6 +11,7 @@ from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.log import SIGNALS, Channel
 from hydrojax.parameters import Spec
+from hydrojax.plant.layout import LAYOUTS, Layout
 from hydrojax.rigfile.entries import Entry, command_unit, entry, givens, quantities
 from hydrojax.rigfile.plain import to_text
 from hydrojax.rigfile.sections import ControllerValue, check_known, read_sections
@@ -25,13 +26,6 @@ from hydrojax.rigfile.vocabulary import (
 SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
 """Supply and return pressure (Pa) where neither log nor rig file has them."""
 
-_NEEDED = {
-    "pull-pull": ("area", "chamber_length"),
-    "differential": ("area_1", "area_2", "chamber_length"),
-    "single": ("area",),
-    "driven-axis": (),
-}
-
 
 @dataclass(frozen=True)
 class RigFile:
@@ -39,7 +33,7 @@ class RigFile:
 
     Attributes:
         name: the rig's, or the file's if it gives none.
-        layout: "pull-pull", "differential", "single" or "driven-axis".
+        layout: one of `hydrojax.plant.layout.LAYOUTS`.
         geometry: area, area_1, area_2 in m^2, chamber_length, radius, x_mid in m;
             x_from and x_to in m, between which profiles along the stroke are laid.
         supply: P_s, P_r in Pa, for logs without these channels.
@@ -58,7 +52,7 @@ class RigFile:
     """
 
     name: str
-    layout: str
+    layout: Layout
     geometry: dict[str, float]
     supply: dict[str, float]
     sensors: dict[str, float]
@@ -185,7 +179,7 @@ def read_rig(
     }
     spec = RigFile(
         name=file.name or Path(path).stem,
-        layout=file.layout,
+        layout=LAYOUTS[file.layout],
         geometry=quantities(f"{path}: [geometry]", file.geometry, GEOMETRY),
         supply=quantities(f"{path}: [supply]", file.supply, SUPPLY_UNITS),
         sensors=quantities(f"{path}: [sensors]", file.sensors, noise_units),
@@ -206,11 +200,11 @@ def read_rig(
 
 def _check(spec: RigFile) -> None:
     """Refuse what no rig can have, and geometry that the layout lacks."""
-    for key in _NEEDED[spec.layout]:
+    for key in spec.layout.geometry:
         if key not in spec.geometry:
             raise InputError(
                 f"{spec.path}: [geometry] {key} is missing, which layout "
-                f'{spec.layout!r} needs; add {key} = "... {GEOMETRY[key]}"'
+                f'{spec.layout.name!r} needs; add {key} = "... {GEOMETRY[key]}"'
             )
     positive = {"geometry": spec.geometry, "sensors": spec.sensors}
     for section, values in positive.items():

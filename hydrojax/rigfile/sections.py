@@ -5,17 +5,22 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
-from typing import Any, Literal, NoReturn, get_args
+from typing import Annotated, Any, NoReturn
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Channel
-
-Layout = Literal["pull-pull", "differential", "single", "driven-axis"]
+from hydrojax.plant.layout import LAYOUTS
 
 ControllerValue = str | int | float | list[str | int | float]
 """A quantity, a number in the paper's unit, or two bounds of either."""
+
+
+def _known_layout(name: str) -> str:
+    if name not in LAYOUTS:
+        raise ValueError(f"unknown layout {name!r}")
+    return name
 
 
 class Sections(BaseModel):
@@ -24,7 +29,7 @@ class Sections(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
     name: str = ""
-    layout: Layout
+    layout: Annotated[str, AfterValidator(_known_layout)]
     geometry: dict[str, Any] = {}
     supply: dict[str, Any] = {}
     sensors: dict[str, Any] = {}
@@ -59,7 +64,7 @@ def _refuse(path: str, tree: Mapping[str, Any], error: ValidationError) -> NoRet
     keys = [str(key) for key in first["loc"]]
     where = f"{path}: [{keys[0]}]" if len(keys) > 1 else f"{path}:"
     if keys == ["layout"]:
-        layouts = get_args(Layout)
+        layouts = tuple(LAYOUTS)
         given = tree.get("layout")
         said = "is missing" if given is None else f"{given!r} is unknown"
         near = get_close_matches(str(given), layouts, n=1)

@@ -9,7 +9,6 @@ import numpy as np
 from scipy import interpolate, signal
 
 from hydrojax.logs.log import Log
-from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile
 
 FLAT = 1.5
@@ -173,9 +172,9 @@ def supply_noise_of(logs: Sequence[Log], spec: RigFile) -> float:
 
 
 def force_areas(spec: RigFile) -> tuple[float, float]:
-    """Areas on which P_a1 and P_a2 push, m^2; see `Rig`."""
-    rig = build_rig(spec)
-    return float(rig.force_area_1), float(rig.force_area_2)
+    """Areas on which P_a1 and P_a2 push, m^2; (16)."""
+    area_1, area_2 = spec.layout.areas(spec.geometry)[1].tolist()
+    return area_1, area_2
 
 
 def level(logs: Sequence[Log], name: str) -> float:

@@ -578,7 +578,7 @@ class Drag(FrictionForce):
     """Drag of oil."""
 
     name = "drag"
-    betrayed_by = "v"
+    residual_axis = "v"
     c: Array = param("N*s/m", 0.0, 0.0, 1e8, "drag", strength=True, size=2e4)
 
     def force(self, at):

@@ -13,6 +13,7 @@ from hydrojax.control.simulation import make_scenario
 from hydrojax.identify.estimation.box import Stretch, smallest_box
 from hydrojax.paper.experiments import reference
 from hydrojax.plant.named import put
+from hydrojax.rigfile.build import build_loop
 from hydrojax.tune.refine import Plants, refine, tracking, with_bounds
 
 NAMES = ("k_cp", "k_cn", "k_0")
@@ -138,8 +139,7 @@ def test_the_command_writes_a_rig_with_bounds(tmp_path, capsys, monkeypatch):
     """Two logs of the reference rig: the rig written carries bounds that hold it."""
     from importlib import resources
 
-    from hydrojax.rigfile.build import build_loop
-from hydrojax.rigfile.schema import RigFile
+    from hydrojax.rigfile.schema import RigFile
 
     text = (resources.files("hydrojax") / "paper" / "reference.toml").read_text()
     for name, start, low, high in (("k_cp", 1.1, 0, 3), ("k_cn", 1.0, 0, 3)):
