@@ -16,15 +16,6 @@ from hydrojax.identify.estimation.fit import Point
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.inference.uncertainty import Interval, Uncertainty, curvature
 
-LEVEL = float(stats.chi2.isf(0.05, 1))
-"""Rise of chi-square at the ends of a 95 % interval, 3.84."""
-
-CLOSE = 0.03
-"""How closely, in displacement, an end is found."""
-
-MOST = 5
-"""Refits an end may take."""
-
 
 def profiles(
     problem: Problem,
@@ -45,13 +36,14 @@ def profiles(
         point: the fit.
         free: the parameters that were fitted.
         belief: of the same fit, for where to begin.
-        tell: hears what is being done.
+        progress: hears what is being done.
         walk: the parameters whose intervals are wanted; all of `free` if none is named.
     """
     H, inside = curvature(problem, point, free)
     plain = np.sqrt(np.diag(np.linalg.pinv(H, rcond=1e-12, hermitian=True)))
     values, out = problem.solve(point.values, free, point.weights)
     best = 2 * float(out.cost)
+    level = float(stats.chi2.ppf(problem.criteria.confidence, 1))
     found: dict[str, Interval] = {}
     for name in walk or free:
         progress(f"profile of {name}")
@@ -63,7 +55,7 @@ def profiles(
             wider = max((std / (plain[inside.index(name)] * scale)) ** 2, 1e-6)
         step = 2 * std if std else 0.1 * scale
         ends = [
-            _end(problem, values, point, free, name, side * step, best, LEVEL * wider)
+            _end(problem, values, point, free, name, side * step, best, level * wider)
             for side in (-1.0, 1.0)
         ]
         found[name] = (
@@ -92,7 +84,7 @@ def _end(
     wall = f.lower if step < 0 else f.upper
     inner, outer = 0.0, wall - values[i]
     at = values
-    for _ in range(MOST):
+    for _ in range(problem.criteria.profile_refits):
         if abs(step) >= abs(outer):
             step = outer
         moved = at.copy()
@@ -100,7 +92,7 @@ def _end(
         moved, out = problem.solve(moved, rest, point.weights)
         rise = max(2 * float(out.cost) - best, 1e-12)
         aim = step * np.sqrt(level / rise)
-        if abs(aim / step - 1) < CLOSE:
+        if abs(aim / step - 1) < problem.criteria.profile_close:
             return float(values[i] + aim)
         if rise < level:
             if step == outer and outer == wall - values[i]:

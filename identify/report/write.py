@@ -22,7 +22,6 @@ from hydrojax.identify.results.show import (
     standing,
     times_noise,
 )
-from hydrojax.identify.tracing.judge import AT_NOISE
 from hydrojax.report.files import write_all
 from hydrojax.report.page import Picture
 from hydrojax.report.page import page as make_page
@@ -129,12 +128,12 @@ def _error_said(outcome: Outcome) -> tuple[str, str]:
     rows = [
         f"{n} {times_noise(c.before, c.noise)} to {times_noise(c.after, c.noise)}"
         for n, c in outcome.channels.items()
-        if standing(c) != "not compared"
+        if standing(c, outcome.criteria.at_noise) != "not compared"
     ]
     return (
         f"Error before and after: {', '.join(rows)}.",
         "RMS error of each channel on the validation logs, before and after, in "
-        f"multiples of its noise. Up to {AT_NOISE:g} a channel is at its noise.",
+        f"multiples of its noise. Up to {outcome.criteria.at_noise:g} a channel is at its noise.",
     )
 
 
@@ -206,7 +205,7 @@ def page(outcome: Outcome, shown: Sequence[Picture]) -> str:
         o=outcome,
         pictures={p.name: p for p in shown},
         ranking=figures.ranking(outcome),
-        at_noise=AT_NOISE,
+        at_noise=outcome.criteria.at_noise,
         scope=scope(outcome),
     )
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hydrojax.identify.tracing.criteria import Criteria
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -149,7 +151,8 @@ class Outcome:
 
     `verdict` is "nothing missing", "explained" or "unknown"; `sentence` says it.
     `limits` are sentences on what is at a range's end or not identified. `rig_file` is
-    the rig file with the identified values and the effects found.
+    the rig file with the identified values and the effects found; `criteria` are the
+    thresholds that decided.
     """
 
     command: str
@@ -170,6 +173,7 @@ class Outcome:
     loops: tuple[LoopCheck, ...] = ()
     covariance: Covariance | None = None
     rig_file: str = ""
+    criteria: Criteria = Criteria()
 
     def plot(self, picture: str | None = None) -> Figure:
         """The most telling picture, or one of those of the report by its name.

@@ -23,7 +23,6 @@ from hydrojax.identify.results.outcome import (
     Series,
     Unexplained,
 )
-from hydrojax.identify.tracing.judge import AT_NOISE
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.state import Tracing
@@ -62,10 +61,16 @@ def summarise(
     tick = float(np.median(case.check.windows.h))
     left = tuple(
         describe.unexplained(
-            name, ch.unit, ch.noise, after[..., CHANNELS.index(name)], signals, tick
+            name,
+            ch.unit,
+            ch.noise,
+            after[..., CHANNELS.index(name)],
+            signals,
+            tick,
+            state.criteria,
         )
         for name, ch in channels.items()
-        if ch.after > AT_NOISE * ch.noise
+        if ch.after > state.criteria.at_noise * ch.noise
     )
     verdict = "unknown" if left else "explained" if state.added else "nothing missing"
     needed = extrapolation(state, belief.vague) if left and case.held_out else ()
@@ -86,6 +91,7 @@ def summarise(
         notes=_notes(case),
         series=_series(case, before, after, signals, seen),
         covariance=Covariance(belief.inside, belief.covariance),
+        criteria=state.criteria,
     )
 
 
@@ -209,7 +215,7 @@ WHY = {
 
 
 def _candidates(state: Tracing) -> tuple[Candidate, ...]:
-    p = family(state.scores)
+    p = family(state.scores, state.criteria)
     first = {a.name: a for a in state.added}
     out = []
     for name, s in state.scores.items():
