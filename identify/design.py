@@ -231,7 +231,7 @@ def design(
         separate: two effects to be told apart, if that is the question.
         seed: of the phases.
         steps: of the gradient descent, at most.
-        tell: hears how it goes.
+        progress: called with a line of text as the design proceeds.
 
     Raises:
         InputError: nothing is to be found, an unknown effect, or no noise given.

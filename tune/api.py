@@ -59,7 +59,7 @@ def tune(
         spread: of the ensemble around a rig file; a folder's is its own.
         limits: what must be kept.
         starts: descents.
-        tell: hears what is being done.
+        progress: called with a line of text at each stage.
 
     Returns:
         What was found, and the rig file that it is about.

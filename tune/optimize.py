@@ -53,7 +53,7 @@ def tune(
         goal: what is wanted.
         starts: descents, the first from the present gains, the others at random.
         seed: of the random ones.
-        tell: hears what is being done.
+        progress: called with a line of text at each stage.
         begin: where the first starts, if not from the present gains.
 
     Returns:

@@ -71,7 +71,7 @@ def tracking(loop: Loop, plants: Plants, scenarios: Scenario) -> np.ndarray:
     Args:
         loop: with the law's bounds, and a plant that lends all but `plants.names`.
         plants: K of them.
-        courses: M of equal length, stacked along the first axis.
+        scenarios: M of equal length, stacked along the first axis.
     """
     theta = jnp.asarray(plants.theta)
     return np.asarray(_errors(loop, plants.names, theta, scenarios))
@@ -95,11 +95,11 @@ def refine(
     Args:
         loop: the loop whose law is refined.
         plants: K identified plants.
-        courses: M courses of equal length, stacked.
+        scenarios: M scenarios of equal length, stacked.
         lower: [n] bounds to start from, SI, of `plants.names`.
         upper: likewise.
         limits: what each parameter may be at all, SI.
-        tell: hears how it goes.
+        progress: called with a line of text as the descent proceeds.
 
     Returns:
         The refined bounds, [n] each.

@@ -184,7 +184,7 @@ def adapt(
         goal: whose run, plants and gains' quantities are used.
         free: rates and bounds above 0.
         gains: of the goal, kept as they are.
-        tell: hears what is being done.
+        progress: called with a line of text at each stage.
 
     Returns:
         Their values, in their units; those they had if nothing better was found.

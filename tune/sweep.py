@@ -224,7 +224,7 @@ def run(
     Args:
         plan: as `prepare` gives it.
         folder: where chunks are kept and `sweep.nc` is written; None keeps nothing.
-        tell: hears of progress.
+        progress: called with the cells done and their total number.
 
     Raises:
         InputError: the folder holds another sweep.

@@ -49,8 +49,8 @@ def prepare(
     """A closed loop in C, ready to be run.
 
     Args:
-        loop: its leaves are scalars or [B]: B instances on one course.
-        course: as `hydrojax.control.loop.run` takes it.
+        loop: its leaves are scalars or [B]: B instances in one scenario.
+        scenario: as `hydrojax.control.loop.run` takes it.
         real: C's `double` or `float`.
         lanes: instances side by side; 1 is plain scalar C, else see `lanes_for`.
         threads: at most so many groups of lanes at a time; None is one per core.

@@ -69,7 +69,7 @@ def interleave(
     Args:
         programs: by name; each runs once and says how many seconds that took.
         rounds: how many.
-        tell: hears of rounds done and in all.
+        progress: called with the rounds done and their total number.
     """
     names, out = list(programs), {name: [] for name in programs}
     for i in range(rounds):

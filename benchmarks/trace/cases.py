@@ -319,7 +319,7 @@ def write_cases(
         declare: the TOML that declares effects, by name, with ranges; without it no
             oracle.toml is written. Effects outside the vocabulary have none anyway.
         seconds: length of each log.
-        tell: hears of ticks done and in all.
+        progress: called with the ticks done and their total number.
 
     Returns:
         Reasons by name of the cases that could not be recorded.

@@ -102,7 +102,7 @@ def score(
         recorder: writes cases' folders; `write_cases` with oracles by default.
         jobs: processes that trace.
         batch: cases whose logs are recorded side by side.
-        tell: hears (what, cases done, cases in all).
+        progress: called with what is done, the cases done, and their total number.
     """
     out.mkdir(parents=True, exist_ok=True)
     path, folder = out / "results.jsonl", out / "cases"

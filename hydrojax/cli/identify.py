@@ -104,10 +104,12 @@ def _trace(
     load_effects(effects)
     from hydrojax.identify import api
     from hydrojax.identify.case import open_case
+    from hydrojax.identify.tracing.criteria import Criteria
 
+    criteria = Criteria(matters=matters, level=level)
     with show_progress() as progress:
-        case = open_case(rig, logs, validate, horizon)
-        outcome = api.trace_case(case, starts, matters, level, progress, profile)
+        case = open_case(rig, logs, validate, horizon=horizon, criteria=criteria)
+        outcome = api.trace_case(case, starts, progress, profile)
     _finish(outcome, out)
 
 

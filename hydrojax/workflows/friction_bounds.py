@@ -66,7 +66,7 @@ def friction_bounds(
             three ways are compared and which take no part in finding them.
         confidence: that the box holds the next stretch's theta_f.
         stretch: length of a fit, s.
-        tell: hears what is being done.
+        progress: called with a line of text at each stage.
 
     Raises:
         InputError: nothing of friction is free, or the logs are too short.

@@ -36,7 +36,7 @@ def profiles(
         point: the fit.
         free: the parameters that were fitted.
         belief: of the same fit, for where to begin.
-        progress: hears what is being done.
+        progress: called with a line of text at each stage.
         walk: the parameters whose intervals are wanted; all of `free` if none is named.
     """
     H, inside = curvature(problem, point, free)

@@ -106,13 +106,15 @@ def prepare(
     ]
     if not rows:
         raise InputError(
-            f"{logs[0].name}: no stretch without gaps has over {criteria.fewest_rows} rows"
+            f"{logs[0].name}: no stretch without gaps has over "
+            f"{criteria.fewest_rows} rows"
         )
     h = float(np.median(np.concatenate([np.diff(logs[i].time[r]) for i, r in rows])))
     if driven_by == "u" and h > criteria.slowest_tick:
         raise InputError(
             f"{logs[0].name}: a row every {h:.3g} s is too slow to replay what the "
-            f"valve does: log at {1 / criteria.slowest_tick:.0f} Hz or more, or take u out of the log"
+            f"valve does: log at {1 / criteria.slowest_tick:.0f} Hz or more, or "
+            "take u out of the log"
         )
     T = max(int(round(horizon / h)), 8)
     pre, lead = (PRE, LEAD) if driven_by == "u" else (1, min(LEAD, int(0.3 / h)))

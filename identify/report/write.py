@@ -133,7 +133,8 @@ def _error_said(outcome: Outcome) -> tuple[str, str]:
     return (
         f"Error before and after: {', '.join(rows)}.",
         "RMS error of each channel on the validation logs, before and after, in "
-        f"multiples of its noise. Up to {outcome.criteria.at_noise:g} a channel is at its noise.",
+        f"multiples of its noise. Up to {outcome.criteria.at_noise:g} a channel is "
+        "at its noise.",
     )
 
 

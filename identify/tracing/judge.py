@@ -82,7 +82,7 @@ def cost(sse: np.ndarray, noise: np.ndarray) -> float:
 
 
 def worse(a: np.ndarray, b: np.ndarray, noise: np.ndarray, by: float) -> bool:
-    """Whether errors `a` are larger than `b` by `by` standard errors, paired by window."""
+    """Whether errors `a` exceed `b` by `by` standard errors, paired by window."""
     seen = np.isfinite(noise)
     d = np.sum((a - b)[:, seen] / noise[seen] ** 2, axis=1)
     return bool(d.mean() > by * d.std(ddof=1) / np.sqrt(len(d)))

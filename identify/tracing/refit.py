@@ -22,8 +22,8 @@ FRICTION = ("velocity", "level", "friction")
 def refit(
     state: Tracing, effect: Effect, s: Score, noise: np.ndarray
 ) -> tuple[Problem, Point]:
-    """Fit again with the effect free, from part of the step that its score foresees; and,
-    as long as that leaves something, from where else it may lie.
+    """Fit again with the effect free, from part of the step that its score foresees;
+    and, as long as that leaves something, from where else it may lie.
     """
     problem, at_noise = state.problem, state.criteria.at_noise
     free = (*state.free, *free_names(effect))

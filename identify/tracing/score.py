@@ -136,7 +136,7 @@ def family(
     independent tests. Its distribution is simulated: each draw turns the sign of every
     window's scores at random, all candidates' together (a wild bootstrap with windows
     as clusters). Beyond what the draws resolve, as many independent tests are taken as
-    the lowest hundredth of the draws stands for.
+    the lowest draws (`criteria.tail`) stand for.
     """
     tested = {n: s for n, s in scores.items() if s.by_window.size and s.p_value < 1.0}
     if not tested:

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
-from tests.test_control import AREAS, GIVEN, NINE, PLANT, SEVEN, PlainLaw, make_law
 
 from hydrojax.control import theory
 from hydrojax.control.inputs import to_and_fro
@@ -32,6 +31,15 @@ from hydrojax.plant.named import put
 from hydrojax.plant.rig import add
 from hydrojax.rigfile.build import load_rig, make_effects
 from hydrojax.rigfile.controller import make_loop
+from tests.control.test_control import (
+    AREAS,
+    GIVEN,
+    NINE,
+    PLANT,
+    SEVEN,
+    PlainLaw,
+    make_law,
+)
 
 H, P_S, P_R = 1e-3, 14e6, 0.25e6
 ENCODER = 2 * math.pi / 2**23 * 0.085
@@ -564,29 +572,50 @@ def test_largest_rise_by_hand():
 # -- the supply (42) --
 
 
-def test_42_is_what_the_paper_prints(falls):
-    loop, scenario, out = falls[1000]
+def plain_42(out, P_s, P_r) -> float:
+    """The right-hand side of (42) as printed, sample by sample; pressures [N], Pa."""
     u, P_1, P_2, x = (out[n] for n in ("u", "true_P_a1", "true_P_a2", "true_x"))
     c, beta, A = PLANT, PLANT["beta"], 1.18e-3
     rate = np.gradient(A * (P_2 - P_1), out.t)
     gamma_pd, gamma_p = np.max(np.abs(rate)), np.max(np.abs(A * (P_2 - P_1)))
     needs = []
-    for u_k, p_1, p_2, x_k in zip(u, P_1, P_2, x, strict=True):
+    for u_k, p_1, p_2, x_k, s, r in zip(u, P_1, P_2, x, P_s, P_r, strict=True):
         if abs(u_k) < np.max(np.abs(u)) / 10:
             continue
         if u_k > 0:
-            psi = c["c_p1"] * math.sqrt(P_S - p_1) + c["c_n2"] * math.sqrt(p_2 - P_R)
+            psi = c["c_p1"] * math.sqrt(s - p_1) + c["c_n2"] * math.sqrt(p_2 - r)
             e_1 = e_2 = beta * u_k * c["c_p1"] ** 2 / psi
             e_3 = beta * u_k * c["c_n2"] ** 2 / psi
         else:
-            psi = c["c_p2"] * math.sqrt(P_S - p_2) + c["c_n1"] * math.sqrt(p_1 - P_R)
+            psi = c["c_p2"] * math.sqrt(s - p_2) + c["c_n1"] * math.sqrt(p_1 - r)
             e_1 = e_3 = -beta * u_k * c["c_p2"] ** 2 / psi
             e_2 = -beta * u_k * c["c_n1"] ** 2 / psi
         top = A * gamma_pd * max(0.1 + 12e-3 - x_k, 0.1 + 18e-3 + x_k)
         top += gamma_p * max(e_2, e_3)
         needs.append(top / (A * min(e_1, e_2 + e_3 - e_1)))
-    want = max(needs)
+    return max(needs)
+
+
+def test_42_is_what_the_paper_prints(falls):
+    loop, scenario, out = falls[1000]
+    want = plain_42(out, *(np.full(out.t.size, P) for P in (P_S, P_R)))
     assert theory.supply_condition(loop, scenario, out) == pytest.approx(want, 1e-9)
+
+
+def test_42_takes_the_supply_and_return_of_every_instant(falls):
+    """Both move; neither end of their range stands for all of it."""
+    loop, scenario, out = falls[1000]
+    P_s = P_S - 2e6 * (1 + np.sin(2 * np.pi * 3 * out.t))
+    P_r = P_R + 4e5 * (1 + np.cos(2 * np.pi * 5 * out.t))
+    given = scenario._replace(
+        P_s=jnp.stack([P_s, P_s], axis=1), P_r=jnp.stack([P_r, P_r], axis=1)
+    )
+    want = plain_42(out, P_s, P_r)
+    for s in (P_s.min(), P_s.max()):
+        for r in (P_r.min(), P_r.max()):
+            held = plain_42(out, 0 * P_s + s, 0 * P_r + r)
+            assert held != pytest.approx(want, 1e-3)
+    assert theory.supply_condition(loop, given, out) == pytest.approx(want, 1e-9)
 
 
 def test_41_the_epsilons_are_the_plants(falls):
@@ -644,6 +673,32 @@ def test_the_least_supply_is_within_a_thousandth():
     least = theory.least_supply(loop, scenario)
     below = theory._stays(loop, scenario, jnp.asarray(least * np.full(12, 0.998)))
     assert not np.any(below)
+
+
+@pytest.mark.parametrize("chamber", [0, 1])
+@pytest.mark.parametrize(
+    ("low", "back", "want"),
+    [
+        (P_R + 2e5, P_R, 9e6),  # the highest pressure of the run
+        (P_R - 1e4, P_R, math.inf),  # below the return, for one sample
+        (P_R + 2e5, P_R + 3e5, math.inf),  # the return above it, for that sample
+    ],
+)
+def test_the_least_supply_is_that_of_every_instant(
+    monkeypatch, chamber, low, back, want
+):
+    """Against pressures given by hand: 6 MPa but for a peak, and a dip elsewhere.
+
+    The return has a peak of its own, where the pressures are far above it.
+    """
+    P, P_r = np.full((50, 2), 6e6), np.full((50, 2), P_R)
+    P[20, 1 - chamber], P[30, chamber], P_r[30], P_r[40] = 9e6, low, back, 2e6
+    scenario = make_scenario(desired(50), MOTIONS["driven"], H, P_S, P_R)
+    scenario = scenario._replace(P_r=jnp.asarray(P_r))
+    monkeypatch.setattr(theory, "run", lambda loop, scenario, keep: jnp.asarray(P))
+    monkeypatch.setattr(theory, "_stays", theory._stays.__wrapped__)
+    least = theory.least_supply(make_bench_loop(), scenario)
+    assert least == pytest.approx(want, rel=5e-3) and least >= want
 
 
 def test_leaving_the_supply_is_said():

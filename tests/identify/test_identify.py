@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -17,14 +18,15 @@ import pytest
 from scipy import optimize
 from scipy.interpolate import CubicSpline, make_interp_spline
 
+from hydrojax.effects import EFFECTS
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation import starts
 from hydrojax.identify.estimation.columns import basis
 from hydrojax.identify.estimation.fit import fit
-from hydrojax.identify.estimation.problem import Problem, free_parameters
+from hydrojax.identify.estimation.problem import Free, Problem, free_parameters
 from hydrojax.identify.estimation.solve import minimise
-from hydrojax.identify.inference.uncertainty import estimate_uncertainty
+from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
 from hydrojax.identify.preparation import data as prepare_room
 from hydrojax.identify.preparation import segments, windows
 from hydrojax.identify.preparation.data import prepare, runs_backward
@@ -32,6 +34,7 @@ from hydrojax.identify.preparation.noise import estimate_noise, motion_band, smo
 from hydrojax.identify.results import summary
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.logs.log import Log, read_log
+from hydrojax.parameters import specs
 from hydrojax.plant.replay import friction_memory
 from hydrojax.rigfile.build import load_rig, make_rig
 from tests import generator
@@ -425,6 +428,40 @@ def coverage(tmp_path, monkeypatch) -> Callable[..., dict[str, float]]:
         return dict(zip(wanted, np.mean(inside, axis=0), strict=True))
 
     return of
+
+
+@pytest.mark.parametrize(
+    ("effect", "stored", "shown", "unit", "value"),
+    [
+        ("valve_lag", "tau", "omega", "rad/s", 8e-4),
+        ("valve_rate_limit", "slew", "r_v", "V/s", 5e-3),
+        ("rod_compliance", "give", "k", "N/m", 2e-8),
+    ],
+)
+def test_a_reciprocal_is_shown_with_its_own_spread(effect, stored, shown, unit, value):
+    """Against 1/x of many draws, whose spread and quantiles are in the shown unit."""
+    name, spec = f"{effect}.{stored}", specs(EFFECTS[effect])[stored]
+    std, start = 0.02 * value, 1.25 * value
+    ends = (0.9 * value, 1.2 * value)
+    state = SimpleNamespace(
+        point=SimpleNamespace(values=np.array([value])), free=(name,),
+        problem=SimpleNamespace(
+            model=SimpleNamespace(names=(name,)),
+            free={name: Free(start, spec.lower, spec.upper)},
+        ),
+    )  # fmt: skip
+    covariance = np.array([[std**2]])
+    belief = Uncertainty(
+        {name: std}, frozenset(), (), (), (name,), covariance, {name: ends}
+    )
+    case = SimpleNamespace(spec=SimpleNamespace(command_unit="V"))
+    got, p = summary._one(name, case, state, belief, spec)
+    drawn = 1 / np.random.default_rng(7).normal(value, std, 200_000)
+    assert (got, p.unit, p.identified) == (shown, unit, True)
+    assert (p.value, p.start) == pytest.approx((1 / value, 1 / start))
+    assert p.std == pytest.approx(drawn.std(), rel=0.01)
+    assert p.interval == pytest.approx(np.quantile(drawn, (0.025, 0.975)), rel=1e-3)
+    assert p.profile == pytest.approx((1 / ends[1], 1 / ends[0]))
 
 
 @pytest.mark.parametrize("seed", [1, 2])

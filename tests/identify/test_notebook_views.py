@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
-from tests.test_report import OUTCOMES, Page, explained, identified, nothing_missing
 
 from hydrojax.errors import InputError
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.tune import metrics
 from hydrojax.tune import plan as tune_run
+from tests.identify.test_report import (
+    OUTCOMES,
+    Page,
+    explained,
+    identified,
+    nothing_missing,
+)
 from tests.tunings import tuned
 
 

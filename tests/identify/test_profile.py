@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy import optimize
+from scipy import optimize, stats
 
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
 from hydrojax.identify.inference.profile import LEVEL, _end, profiles
-from hydrojax.identify.inference.uncertainty import estimate_uncertainty
+from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
 from tests import generator
 
 
@@ -54,6 +54,41 @@ def test_a_range_that_ends_first_is_the_end():
     valley.free["a"] = type(valley.free["a"])(0.5, 0.9, 4.0)
     point = type("Point", (), {"weights": None})
     assert _end(valley, best, point, ("a", "b"), "a", -0.2, 0.0, LEVEL) == 0.9
+
+
+class Mean:
+    """Stands in for a `Problem`: the mean of readings whose noise is known."""
+
+    class model:
+        names = ("a",)
+        scale = np.array([1.0])
+
+    def __init__(self, y, sigma):
+        from hydrojax.identify.estimation.problem import Free
+
+        self.y, self.sigma = y, sigma
+        self.free = {"a": Free(0.0, -50.0, 50.0)}
+
+    def solve(self, values, names, weights=None):
+        at = np.array([self.y.mean()]) if names else values
+        r = (self.y - at[0]) / self.sigma
+        return at, type("Fit", (), {"cost": r @ r / 2})
+
+    def sums_at(self, values, weights):
+        rows = np.stack([0 * self.y - 1, self.y - values[0]], axis=1) / self.sigma
+        return type("Sums", (), {"gram": (rows.T @ rows)[None]})
+
+
+@pytest.mark.parametrize("wider", [1.0, 2.0])
+def test_the_interval_of_a_mean_is_that_of_95_percent(wider):
+    """Against the normal distribution; `wider` is what clustered windows made of it."""
+    y, sigma = np.random.default_rng(4).normal(3.0, 0.5, 25), 0.5
+    std, at = wider * sigma / 5, np.array([y.mean()])
+    point = type("Point", (), {"values": at, "weights": None})
+    belief = Uncertainty({"a": std}, frozenset(), (), (), ("a",), np.array([[std**2]]))
+    found = profiles(Mean(y, sigma), point, ("a",), belief)
+    want = stats.norm.interval(0.95, y.mean(), std)
+    np.testing.assert_allclose(found["a"], want, rtol=1e-9)
 
 
 def test_a_log_gives_intervals_like_its_covariance(tmp_path):

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.test_report import OUTCOMES, explained
 
 from hydrojax.identify.report import write
 from hydrojax.paper.experiments import reference
 from hydrojax.tune import report as tune_report
 from tests.browser import Browser, Page
+from tests.identify.test_report import OUTCOMES, explained
 from tests.tunings import tuned
 
 WIDTHS = (400, 1600)

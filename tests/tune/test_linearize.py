@@ -203,6 +203,43 @@ def test_margins_are_scipy_s():
     assert float(delay) == pytest.approx(lead / 2 / np.pi / fine[cross], rel=0.01)
 
 
+def test_bandwidths_of_a_butterworth_low_pass_by_closed_form():
+    """Second order: |H|^2 is 1 / (1 + (f/40)^4), and the phase is -90 deg at 40 Hz."""
+    hertz = metrics.grid(1000.0, 2000)
+    H = np.zeros((hertz.size, 2, 5), complex)
+    b, a = signal.butter(2, 40.0, analog=True)
+    H[:, 0, 0] = signal.freqs(b, a, hertz)[1]
+    H[:, 1, 1] = 0.5
+    found = metrics.merits(jnp.asarray(hertz), jnp.asarray(H), jnp.asarray(0.5))
+    for name, fall in (("within_1dB", 1.0), ("minus_3dB", 3.0)):
+        want = 40 * (10 ** (fall / 10) - 1) ** 0.25
+        assert float(found[name]) == pytest.approx(want, rel=1e-4), name
+    assert float(found["lag_90"]) == pytest.approx(40.0, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("leads", "phase", "delay"),
+    [
+        ((20, 70, 100), 20, 20 / 360 / 10),
+        ((100, 40, 70), 40, 40 / 360 / 20),  # where the gain rises through 1
+        ((70, 100, 30), 30, 30 / 360 / 30),
+        ((30, 100, 45), 30, 45 / 360 / 30),  # least delay at another crossing
+        ((70, 100, -15), 15, 100 / 360 / 20),  # behind -180 degrees: nearest to it
+    ],
+)
+def test_margins_are_the_least_of_all_gain_crossings(leads, phase, delay):
+    """The gain falls through 1 at 10 Hz, rises at 20 Hz and falls again at 30 Hz.
+
+    `leads` is by how many degrees the phase is above -180 at each.
+    """
+    hertz = np.array([9.0, 11.0, 19.0, 21.0, 29.0, 31.0])
+    size = 10 ** (np.array([6.0, -6.0, -6.0, 6.0, 6.0, -6.0]) / 20)
+    L = size * np.exp(1j * np.deg2rad(np.repeat(leads, 2) - 180.0))
+    _, got, late = metrics.margins(jnp.asarray(hertz), jnp.asarray(L))
+    assert float(got) == pytest.approx(phase)
+    assert float(late) == pytest.approx(delay)
+
+
 def test_noise_s_response_and_coherence_are_scipy_s():
     rng = np.random.default_rng(3)
     given = measure.white_noise(1000.0, seconds=9.0, lines=500)

@@ -120,7 +120,7 @@ from pathlib import Path
 import jax
 from hydrojax.backend import set_up_jax
 set_up_jax(Path(sys.argv[1]))
-from tests import test_sweep as t
+from tests.tune import test_sweep as t
 setting = t.open_setting(t.SPEC)
 known = t.quantities(t.SPEC, setting)
 plan = t.plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine"))
@@ -189,6 +189,24 @@ def test_a_stopped_sweep_goes_on_and_a_done_one_does_nothing(
     np.testing.assert_array_equal(again.linear_peak, data.linear_peak)
     with pytest.raises(InputError, match="another sweep"):
         sweep.run(plan_of(setting, known, ["k_p=0.5:3:5"]), tmp_path)
+
+
+def test_a_sweep_is_not_resumed_with_adaptation_frozen_or_freed(
+    setting, known, tmp_path
+):
+    words, methods = ["k_p=0.6,1.2"], ("multisine",)
+    runs, stands = (
+        plan_of(setting, known, words, methods, frozen=frozen)
+        for frozen in (False, True)
+    )
+    assert runs.key() != stands.key()
+    for i, (kept, other) in enumerate([(runs, stands), (stands, runs)]):
+        folder = tmp_path / str(i)
+        todo = sweep.left(kept, folder)
+        assert todo == [("multisine", 0)] == sweep.left(kept, folder)
+        for resume in (sweep.run, sweep.left):
+            with pytest.raises(InputError, match="another sweep"):
+                resume(other, folder)
 
 
 def test_the_ensemble_and_what_95_percent_reach(setting, known):

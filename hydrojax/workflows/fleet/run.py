@@ -69,7 +69,7 @@ def run_fleet(
         options: how every job is done.
         workers: worker processes; 0 is one per core.
         cluster: address of a dask scheduler, or local:N, in place of them.
-        tell: hears of progress.
+        progress: called with the jobs done and their total number.
         solver: what does a job; see `work.SOLVER`.
         report: whether fleet.html and its pictures are made too.
 

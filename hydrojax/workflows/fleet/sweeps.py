@@ -45,7 +45,7 @@ def share_sweep(
         effects: files with a user's own effects.
         out: the sweep's folder, which every worker sees under the same path.
         address: of the scheduler, or local:N.
-        tell: hears of chunks.
+        progress: called with the chunks done and their total number.
 
     Raises:
         InputError: words, a folder or an address that will not do.
