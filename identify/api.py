@@ -111,7 +111,7 @@ def _fit_base(
 def fit_case(
     case: Case, starts: int = 4, progress: Progress = lambda _: None
 ) -> Tracing:
-    """Fit the declared model: where it stands, before anything is said of it.
+    """Fit the declared model: the state before anything is concluded from it.
 
     Raises:
         InputError: no parameter of the rig file has a range.
@@ -132,7 +132,7 @@ def identify(
     progress: Progress = lambda _: None,
     profile: bool = False,
 ) -> Outcome:
-    """Fit the declared model, and say how well it does and can be believed.
+    """Fit the declared model; report its errors and the uncertainty of its parameters.
 
     With `profile`, intervals by profile likelihood too: many refits.
     """
@@ -212,26 +212,28 @@ class _Compiling:
 
 def _settled(state: Tracing) -> tuple[Tracing, Uncertainty, tuple[str, ...]]:
     """The final fit, what the logs say of it, and a remark: symmetric in Coulomb
-    friction unless fit or check tell otherwise.
+    friction unless fit or check show otherwise.
 
     In sliding only `k_cp + k_0` and `k_cn - k_0` act: the three differ in the bristle's
-    turning alone, which a log may not resolve. Where the fit does not tell k_cp from
-    k_cn, and the check is as good without a difference, the simpler of the two
+    turning alone, which a log may not resolve. Where the fit does not separate k_cp
+    from k_cn, and the check is as good without a difference, the simpler of the two
     descriptions is taken.
     """
     noise = state.noise
-    belief = estimate_uncertainty(state.problem, state.point, state.free)
+    uncertainty = estimate_uncertainty(state.problem, state.point, state.free)
     if not {*COULOMB, "k_0"} <= set(state.free) or not np.isfinite(noise[2]):
-        return state, belief, ()
-    if set(COULOMB) <= set(belief.inside):
-        at = [belief.inside.index(n) for n in COULOMB]
+        return state, uncertainty, ()
+    if set(COULOMB) <= set(uncertainty.inside):
+        at = [uncertainty.inside.index(n) for n in COULOMB]
         difference = np.array([1.0, -1.0])
-        spread = np.sqrt(difference @ belief.covariance[np.ix_(at, at)] @ difference)
+        spread = np.sqrt(
+            difference @ uncertainty.covariance[np.ix_(at, at)] @ difference
+        )
         if (
             abs(state.named["k_cp"] - state.named["k_cn"])
             > state.criteria.asymmetry * spread
         ):
-            return state, belief, ()
+            return state, uncertainty, ()
     problem, point = fit_jointly(
         replace(state.problem, symmetric=True),
         state.point.values,
@@ -242,10 +244,10 @@ def _settled(state: Tracing) -> tuple[Tracing, Uncertainty, tuple[str, ...]]:
         state.check.rms(state.check.errors_at(p.values)) for p in (state.point, point)
     )
     if np.any(tied > own + state.criteria.matters * np.maximum(noise, own)):
-        return state, belief, ()
+        return state, uncertainty, ()
     said = (
-        "k_cp, k_cn and k_0: these logs tell only k_cp + k_0 and k_cn - k_0; k_cp and "
-        "k_cn were taken as equal"
+        "k_cp, k_cn and k_0: these logs identify only k_cp + k_0 and "
+        "k_cn - k_0; k_cp and k_cn were taken as equal"
     )
     state = replace(state, problem=problem, point=point)
     return state, estimate_uncertainty(problem, point, state.free), (said,)
@@ -264,12 +266,12 @@ def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
 
 
 def _outcome(command, case, state, base, began, compiled, progress, profile) -> Outcome:
-    progress("errors, intervals and what is left")
-    state, belief, said = _settled(state)
+    progress("errors, intervals and residuals")
+    state, uncertainty, said = _settled(state)
     if profile:
-        found = profiles(state.problem, state.point, state.free, belief, progress)
-        belief = replace(belief, profiles=found)
-    outcome = summarise(command, case, state, base, belief)
+        found = profiles(state.problem, state.point, state.free, uncertainty, progress)
+        uncertainty = replace(uncertainty, profiles=found)
+    outcome = summarise(command, case, state, base, uncertainty)
     outcome = replace(outcome, limits=(*said, *outcome.limits))
     progress("the closed loop again")
     outcome = replace(

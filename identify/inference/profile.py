@@ -1,4 +1,4 @@
-"""Profile likelihood: how far a parameter can go before the fit says no.
+"""Profile likelihood: how far a parameter can go until the fit is worse.
 
 A covariance knows the fit's curvature at its end alone. Here a parameter is held at
 places away from it and all others are fitted again, so that bent valleys, ranges and
@@ -21,7 +21,7 @@ def profiles(
     problem: Problem,
     point: Point,
     free: Sequence[str],
-    belief: Uncertainty,
+    uncertainty: Uncertainty,
     progress: Callable[[str], None] = lambda _: None,
     walk: Sequence[str] = (),
 ) -> dict[str, Interval]:
@@ -35,7 +35,7 @@ def profiles(
         problem: of the logs that were fitted.
         point: the fit.
         free: the parameters that were fitted.
-        belief: of the same fit, for where to begin.
+        uncertainty: of the same fit, for where to begin.
         progress: called with a line of text at each stage.
         walk: the parameters whose intervals are wanted; all of `free` if none is named.
     """
@@ -49,7 +49,7 @@ def profiles(
         progress(f"profile of {name}")
         i = problem.model.names.index(name)
         f, scale = problem.free[name], problem.model.scale[i]
-        std = belief.std.get(name)
+        std = uncertainty.std.get(name)
         wider = 1.0
         if std is not None and name in inside:
             wider = max((std / (plain[inside.index(name)] * scale)) ** 2, 1e-6)

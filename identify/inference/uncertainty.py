@@ -1,4 +1,4 @@
-"""How far a fit can be believed: covariance, ranges reached, what is not identified."""
+"""Uncertainty of a fit: covariance, limits reached, unidentifiable parameters."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ Interval = tuple[float | None, float | None]
 class Uncertainty:
     """Standard deviations (SI) of the free parameters inside their range, and words.
 
-    `std` by name, None at an end of the range; `vague` names those not identified;
-    `limits` says in sentences what is at a range's end, and which combination of the
-    vague ones the logs do tell. `covariance` [n, n] is of the parameters `inside`, SI;
-    `profiles` the 95 % intervals by profile likelihood, where they were asked for.
+    `std` by name, None at an end of the range; `ends` names the parameters there;
+    `unidentifiable` those that the logs do not determine; `limits` says in sentences
+    what is at a range's end, and which combination of the unidentifiable ones the logs
+    do determine. `covariance` [n, n] is of the parameters `inside`, SI; `profiles` the
+    95 % intervals by profile likelihood, where they were asked for.
     """
 
     std: dict[str, float | None]
     ends: frozenset[str]
-    vague: tuple[str, ...]
+    unidentifiable: tuple[str, ...]
     limits: tuple[str, ...]
     inside: tuple[str, ...]
     covariance: np.ndarray
@@ -59,22 +60,22 @@ def estimate_uncertainty(
     scale = problem.model.scale[columns]
     covariance, H = _covariance(problem, gram, inside, columns)
     std: dict[str, float | None] = {name: None for name in free}
-    vague: list[str] = []
+    unidentifiable: list[str] = []
     for i, name in enumerate(inside):
         s = float(np.sqrt(max(covariance[i, i], 0.0))) * scale[i]
         std[name] = s
         size = max(abs(point.values[columns[i]]), 0.1 * scale[i])
         if not np.isfinite(s) or s > problem.criteria.unidentifiable * size:
-            vague.append(name)
+            unidentifiable.append(name)
         if s > 0.01 * problem.criteria.unseen_std * scale[i]:
             std[name] = None
     limits = [_at_end(name, end) for name, end in ends.items()]
-    if vague:
-        limits += _in_words(vague, inside, H, problem.criteria)
+    if unidentifiable:
+        limits += _in_words(unidentifiable, inside, H, problem.criteria)
     return Uncertainty(
         std,
         frozenset(ends),
-        tuple(vague),
+        tuple(unidentifiable),
         tuple(limits),
         tuple(inside),
         covariance * np.outer(scale, scale),
@@ -115,22 +116,22 @@ def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]
 
 def _at_end(name: str, end: str) -> str:
     return (
-        f"{name} ended at the {end} end of its range: the logs would rather have it "
-        "beyond; no standard deviation holds there"
+        f"{name} hit the {end} limit of its range; widen the range. No standard "
+        "deviation is given there"
     )
 
 
 def _in_words(
-    vague: list[str], inside: list[str], H: np.ndarray, criteria: Criteria
+    unidentifiable: list[str], inside: list[str], H: np.ndarray, criteria: Criteria
 ) -> list[str]:
-    """Which parameters the logs do not tell, and with what they trade."""
+    """Which parameters the logs do not determine, and with which they trade."""
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     values, vectors = np.linalg.eigh(H / np.outer(size, size))
     out = []
-    for name in vague:
+    for name in unidentifiable:
         i = inside.index(name)
         if size[i] < criteria.hardly_shown * size.max():
-            out.append(f"{name} is not identified: these logs hardly show it at all")
+            out.append(f"{name} is not identified: these logs hardly depend on it")
             continue
         weak = vectors[:, 0]
         partners: list[str] = [
@@ -142,9 +143,12 @@ def _in_words(
         singular = values[0] < criteria.nearly_singular
         if singular and others and abs(weak[i]) > criteria.partner:
             out.append(
-                f"{name} is not identified by itself: the logs tell only a combination "
-                f"of it with {' and '.join(others)}"
+                f"{name} is not identified by itself: the logs determine only a "
+                f"combination of it with {' and '.join(others)}"
             )
         else:
-            out.append(f"{name} is not identified: its spread exceeds half its size")
+            out.append(
+                f"{name} is not identified: its standard deviation exceeds "
+                "half its size"
+            )
     return out

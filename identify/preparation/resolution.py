@@ -90,7 +90,7 @@ def resolve(
     return Resolved(smoothed, ready(smoothed[:count], noise), (note,))
 
 
-Calmed = tuple[tuple[Log, ...], np.ndarray, str]
+Smoothed = tuple[tuple[Log, ...], np.ndarray, str]
 """Logs with what drives smoothed, the channels' noise [3] with it, SI, and a remark."""
 
 
@@ -101,7 +101,7 @@ def _position(
     fit: Data,
     ready: Ready,
     criteria: Criteria,
-) -> Calmed | None:
+) -> Smoothed | None:
     """Smooth the position; None where its noise does not show."""
     noise = fit.noise
     sensor_noise = sensor_noise_of(
@@ -125,7 +125,7 @@ def _position(
         return _largest(left[1] - left[0], one.log)
 
     # How far the position moves the channels depends on what the rig is: that of the
-    # file may be off, and one that is fitted without what it lacks may be bent.
+    # file may be off, and one fitted without what it lacks may be distorted.
     start = problem_of(one).initial_values()
     extra = brought(start)
     if not np.isfinite(extra[np.isfinite(noise)]).all():
@@ -151,26 +151,26 @@ def _position(
     return smoothed, np.hypot(noise, extra), note
 
 
-def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Calmed | None:
+def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Smoothed | None:
     """Smooth pressures that drive; None where their noise does not show in F."""
     has = logs[0].signals
     own = spec.sensors.get("F", level(logs, "F") if "F" in has else 0.0)
     areas: dict[str, float] = dict(
         zip(("P_a1", "P_a2"), force_areas(spec), strict=True)
     )
-    blurs: dict[str, SensorNoise] = {}
+    noises: dict[str, SensorNoise] = {}
     for name in (n for n in areas if n in has and areas[n] > 0):
         pieces = _stretches(logs, lambda log, name=name: log.signals[name], criteria)
         if sensor_noise := sensor_noise_of(pieces, criteria):
-            blurs[name] = sensor_noise
+            noises[name] = sensor_noise
     if (
-        np.linalg.norm([areas[n] * b.sigma for n, b in blurs.items()])
+        np.linalg.norm([areas[n] * b.sigma for n, b in noises.items()])
         <= criteria.sensor_counts * own
     ):
         return None
-    silent = [n for n in areas if n in has and n not in blurs]
+    silent = [n for n in areas if n in has and n not in noises]
     square = own**2 + sum((areas[n] * level(logs, n)) ** 2 for n in silent)
-    for name, sensor_noise in blurs.items():
+    for name, sensor_noise in noises.items():
         logs = tuple(
             _smoothed(log, name, sensor_noise.smoothed, criteria) for log in logs
         )
@@ -189,10 +189,10 @@ def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Calmed |
             )
         ]
         square += (areas[name] * max(off)) ** 2
-    known = ", ".join(f"{n} by {b.sigma / 1e3:.2g} kPa" for n, b in blurs.items())
+    known = ", ".join(f"{n} by {b.sigma / 1e3:.2g} kPa" for n, b in noises.items())
     note = (
         f"the pressures drive, and are noisy ({known}): "
-        f"{_said(min(blurs.values(), key=lambda b: b.cut))} what is left moves F by "
+        f"{_said(min(noises.values(), key=lambda b: b.cut))} what is left moves F by "
         f"{np.sqrt(square - own**2):.2g} N RMS, which is counted into its noise"
     )
     return logs, np.array([np.inf, np.inf, np.sqrt(square)]), note
@@ -222,7 +222,7 @@ def _stretches(
 
 
 def _again(sensor_noise: SensorNoise, t: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A calmed signal measured once more by such a sensor, and calmed again.
+    """A smoothed signal measured once more by such a sensor, and smoothed again.
 
     Beside it as it is, this shows what noise is left, and what smoothing takes off.
     """

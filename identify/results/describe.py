@@ -1,4 +1,4 @@
-"""What is left above the noise, in words: in which channel, and what it follows."""
+"""The residual above the noise in words: its channel, and what it correlates with."""
 
 from __future__ import annotations
 
@@ -37,23 +37,25 @@ def unexplained(
     )
     if clear:
         follows = clear.signal
-        says = (
-            f"{size}; {100 * clear.share:.0f} % of what is left goes with {follows} "
-            f"(p {clear.p_value:.2g}), more than with any other signal of the log"
+        description = (
+            f"{size}; {100 * clear.share:.0f} % of the residual variance correlates "
+            f"with {follows} (p {clear.p_value:.2g}), more than with any other signal "
+            "of the log"
         )
     elif height > criteria.line:
         follows = "frequency"
-        says = f"{size}; it stands out as a line near {line:.3g} Hz"
+        description = f"{size}; it stands out as a line near {line:.3g} Hz"
     else:
         follows, where = _swells(residual, noise, signals, criteria)
-        says = (
-            f"{size}; its sign goes with none of the log's signals, but it is larger "
-            f"where {follows} is {where}"
+        description = (
+            f"{size}; its sign correlates with none of the log's signals, but it is "
+            f"larger where {follows} is {where}"
             if where
-            else f"{size}; it goes with none of the log's signals and has no line"
+            else f"{size}; it correlates with none of the log's signals and has no "
+            "spectral line"
         )
     return Unexplained(
-        channel, excess, unit, follows, says, tests,
+        channel, excess, unit, follows, description, tests,
         line if height > criteria.line else None, advice(channel, follows),
     )  # fmt: skip
 
@@ -68,7 +70,7 @@ def _swells(
     signals: Mapping[str, np.ndarray],
     criteria: Criteria,
 ) -> tuple[str, str]:
-    """The signal with whose size that of the residual goes, and which way."""
+    """The signal with whose size that of the residual correlates, and which way."""
     loud = np.log(residual**2 + (0.1 * noise) ** 2)
     loud = loud - loud.mean()
     swell = {

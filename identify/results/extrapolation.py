@@ -12,7 +12,7 @@ from hydrojax.identify.inference.uncertainty import curvature
 from hydrojax.identify.tracing.state import Tracing
 
 
-def extrapolation(state: Tracing, vague: Sequence[str]) -> tuple[str, ...]:
+def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> tuple[str, ...]:
     """Parameters that the fitted logs leave open and the check needs.
 
     A fit to the check's logs, held by what the fitted logs tell of every parameter. The
@@ -21,7 +21,7 @@ def extrapolation(state: Tracing, vague: Sequence[str]) -> tuple[str, ...]:
 
     Args:
         state: where a run ended.
-        vague: those that the fitted logs do not tell; they are named first.
+        unidentifiable: those that the fitted logs do not tell; they are named first.
     """
     own = state.criteria
     noise, free, index = state.noise, state.free, _index(state)
@@ -55,7 +55,7 @@ def extrapolation(state: Tracing, vague: Sequence[str]) -> tuple[str, ...]:
         without[i] = start[i]
         rise[name] = (cost(without) - least) / fall
     named = sorted((n for n in free if rise[n] > own.needed), key=lambda n: -rise[n])
-    return tuple(n for n in named if n in vague) or tuple(named)
+    return tuple(n for n in named if n in unidentifiable) or tuple(named)
 
 
 def _index(state: Tracing) -> np.ndarray:

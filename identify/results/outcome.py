@@ -24,7 +24,7 @@ class Parameter:
 
     value: float
     unit: str
-    says: str
+    description: str
     start: float
     free: bool
     std: float | None = None
@@ -73,8 +73,8 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Dependence:
-    """Whether what is left goes with a signal: the share of its square, and the chance
-    that signal and residual of unrelated windows would share as much.
+    """How far the residual correlates with a signal: the share of its variance, and
+    the chance that signal and residual of unrelated windows would share as much.
     """
 
     signal: str
@@ -94,7 +94,7 @@ class Unexplained:
     excess: float
     unit: str
     follows: str
-    says: str
+    description: str
     tests: tuple[Dependence, ...] = ()
     line: float | None = None
     next: str = ""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 PICTURES = {
     "error": figures,
-    "betrayal": residuals,
+    "dependence": residuals,
     "residual": residuals,
     "loop": residuals,
     "ranking": figures,
@@ -26,7 +26,7 @@ PICTURES = {
 }
 """In the order of the page, with the module of `<name>_figure`, `report_<name>.png`."""
 
-TELLING = ("betrayal", "residual", "error", "parameter", "ranking", "loop")
+TELLING = ("dependence", "residual", "error", "parameter", "ranking", "loop")
 """The pictures, the most telling first."""
 
 
