@@ -77,7 +77,7 @@ class Effect(eqx.Module):
 
     `name` is what files and reports call it; `place` is where in a rig it acts;
     `needs` what a log must have for it to show (signals, or "loadcell" for a logged
-    F); `betrayed_by` the signal against which its residual stands out.
+    F); `residual_axis` the signal against which its residual stands out.
     """
 
     name: ClassVar[str]

@@ -55,8 +55,7 @@ def applicable(case: Case) -> tuple[str, ...]:
             can.add("loadcell")
     if "radius" in case.spec.geometry:
         can.add("psi")
-    if case.spec.layout == "single":
-        can -= {"P_a1"}
+    can -= set(case.spec.layout.unmeasured)
     return tuple(n for n, e in EFFECTS.items() if set(e.needs) <= can)
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from hydrojax import cli
 from hydrojax.jax_setup import set_up_jax
+from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.named import put
 from hydrojax.plant.replay import Motion, Windows
 from hydrojax.plant.rig import Rig, bare_rig
@@ -160,7 +161,7 @@ def set_reference(rig: Rig) -> Rig:
 @pytest.fixture(scope="session")
 def rig() -> Rig:
     """The reference rig: pull-pull, without effects."""
-    return set_reference(bare_rig("pull-pull", GEOMETRY))
+    return set_reference(bare_rig(LAYOUTS["pull-pull"], GEOMETRY))
 
 
 @pytest.fixture(scope="session")

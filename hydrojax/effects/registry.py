@@ -211,8 +211,8 @@ def _check(effect: Any, where: str) -> str:
     needs = getattr(effect, "needs", None)
     if not needs or isinstance(needs, str) or not set(needs) <= set(NEEDS):
         refuse(f"needs = {needs!r} will not do: write a tuple of {NEEDS}")
-    if not isinstance(getattr(effect, "betrayed_by", None), str):
-        refuse('does not say what its residual goes with: add betrayed_by = "v"')
+    if not isinstance(getattr(effect, "residual_axis", None), str):
+        refuse('does not say what its residual goes with: add residual_axis = "v"')
     method = METHODS[place]
     own = getattr(effect, method, None) if method else True
     if own is None or any(own is getattr(base, method or "_", 0) for base in ABSTRACT):

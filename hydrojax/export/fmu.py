@@ -20,7 +20,7 @@ SCRIPT = '''"""A rig as an FMI slave: needs hydrojax in the Python that runs it.
 
 from pythonfmu import Fmi2Slave
 
-from hydrojax.interchange.slave import HELD, Plant
+from hydrojax.export.slave import HELD, Plant
 
 HELD.append(globals())
 

@@ -14,6 +14,7 @@ from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.export.stepping import SAME, Drive, advance, has_queue, start, ticks_of
 from hydrojax.export.tree import identifier, meaning, plant
+from hydrojax.plant.layout import Layout
 from hydrojax.plant.named import get, hydraulic_names, parameter_specs, put
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import BASE
@@ -44,16 +45,15 @@ STARTS: Names = {
     "P_a2_start": ("Pa", "pressure of chamber 2 at the start"),
 }
 
-WITHOUT = {
-    "pull-pull": ("P",),
-    "differential": ("P",),
-    "single": ("P", "P_a1", "P_a1_start"),
-    "driven-axis": ("u", "P_s", "P_r", "P_a1", "P_a2", *STARTS),
-}
-"""What each layout has not."""
-
 PERIOD = 1e-3
 """Tick of a rig without a controller, s."""
+
+
+def variables_without(layout: Layout) -> frozenset[str]:
+    """The variables that a rig of this layout does not have."""
+    line = {"P"} if layout.has_valve else {"u", "P_s", "P_r"}
+    absent = layout.unmeasured
+    return frozenset(line).union(absent, (f"{p}_start" for p in absent))
 
 
 class Model:
@@ -70,7 +70,7 @@ class Model:
             InputError: the rig cannot be run, in one line.
         """
         self.spec, self.identifier = spec, identifier(spec.name)
-        self.valve = spec.layout != "driven-axis"
+        self.valve = spec.layout.has_valve
         self.rig, self.period, P_a1 = _at_rest(spec)
         self.queue = has_queue(self.rig)
 
@@ -134,6 +134,7 @@ class Model:
 
 def _shown(names: Names, spec: RigFile) -> Names:
     """The variables that this layout has, in the unit that its command has."""
+    absent = variables_without(spec.layout)
 
     def text(words: str) -> str:
         return units.with_command(words, spec.command_unit)
@@ -141,13 +142,13 @@ def _shown(names: Names, spec: RigFile) -> Names:
     return {
         name: (text(unit), text(description))
         for name, (unit, description) in names.items()
-        if name not in WITHOUT[spec.layout]
+        if name not in absent
     }
 
 
 def _at_rest(spec: RigFile) -> tuple[Rig, float, float]:
     """The rig, the length of a tick (s), and P_a1 at rest (Pa)."""
-    if spec.layout == "driven-axis":
+    if not spec.layout.has_valve:
         return plant(spec), PERIOD, 0.0
     loop = make_loop(spec)
     return loop.rig, float(loop.h), float(loop.P_start)

@@ -51,7 +51,7 @@ def modelica_of(spec: RigFile) -> str:
         "record.mo.jinja",
         name=identifier(spec.name),
         rig=string(spec.name),
-        layout=string(spec.layout),
+        layout=string(spec.layout.name),
         command=string(spec.command_unit),
         sections=sections,
     )

@@ -24,7 +24,7 @@ def toml_of(spec: RigFile) -> str:
     """
     document = tomlkit.document()
     document["name"] = spec.name
-    document["layout"] = spec.layout
+    document["layout"] = spec.layout.name
     pressures = dict.fromkeys(spec.supply, "Pa")
     sections = (
         ("geometry", _quantities(spec.geometry, GEOMETRY)),

@@ -54,7 +54,7 @@ def rig_tree(spec: RigFile) -> Tree:
     return {
         "format": FORMAT,
         "name": spec.name,
-        "layout": spec.layout,
+        "layout": spec.layout.name,
         "command_unit": spec.command_unit,
         "geometry": _given(spec.geometry, GEOMETRY),
         "supply": {
@@ -133,7 +133,7 @@ def _given(values: dict[str, float], wants: dict[str, str]) -> Tree:
 
 def _parameters(spec: RigFile, rig: Rig) -> Tree:
     """The base model's; an axis without chambers has only friction."""
-    drop = hydraulic_names(rig) if spec.layout == "driven-axis" else frozenset()
+    drop = frozenset() if spec.layout.has_valve else hydraulic_names(rig)
     known = {name: s for name, s in BASE.items() if name not in drop}
     return _fields(rig, known, spec.parameters, spec)
 
@@ -167,7 +167,7 @@ def _controller(spec: RigFile) -> Tree:
     A rig without a valve has no loop: only what its file says.
     """
     given = file_keys(spec)
-    ends = given if spec.layout == "driven-axis" else _defaults(spec) | given
+    ends = _defaults(spec) | given if spec.layout.has_valve else given
     out: Tree = {}
     for name, (lower, upper) in ends.items():
         value = [lower, upper] if KEYS[name].pair else lower

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,6 +12,7 @@ from hydrojax.parameters import Effect
 from hydrojax.plant import rod
 from hydrojax.plant.chambers import Chambers, Lands, Point, sides
 from hydrojax.plant.friction import Friction, Sliding
+from hydrojax.plant.layout import Layout
 from hydrojax.plant.state import State, StepInput
 
 PLACES = (
@@ -283,41 +283,24 @@ def add(rig: Rig, effects: Iterable[Effect]) -> Rig:
     )
 
 
-def bare_rig(
-    layout: str, geometry: Mapping[str, float] | None = None, **parts: Any
-) -> Rig:
+def bare_rig(layout: Layout, geometry: Mapping[str, float] | None = None) -> Rig:
     """A rig without effects, at the default parameters.
 
     Args:
-        layout: `pull-pull`, `differential`, `single` or `driven-axis`.
-        geometry: `area` or `area_1`, `area_2` (m^2), `chamber_length` (m).
-        parts: `lands`, `chambers` fields and `mechanics` to replace defaults.
+        layout: one of `LAYOUTS`.
+        geometry: in SI, by the keys of [geometry]: the areas that the layout needs
+            (m^2), and `chamber_length` (m; 1 m if it is not given).
 
     Raises:
-        KeyError: an area that the layout needs is not there.
-        ValueError: an unknown layout.
+        KeyError: an area that the layout needs is missing.
     """
-    g = dict(geometry or {})
-    if layout == "pull-pull":
-        areas, acts = (g["area"], g["area"]), (g["area"], g["area"])
-    elif layout == "differential":
-        areas = acts = (g["area_1"], g["area_2"])
-    elif layout == "single":
-        # Chamber 1 is open: it holds fluid at no pressure and pushes nothing.
-        areas, acts = (g["area"], g["area"]), (0.0, g["area"])
-    elif layout == "driven-axis":
-        # The drive force itself: a pressure of P/(1 m^2) on one square metre.
-        areas, acts = (1.0, 1.0), (0.0, 1.0)
-    else:
-        raise ValueError(f"unknown layout {layout!r}")
-    length = g.get("chamber_length", 1.0)
-    chambers = Chambers(
-        *(jnp.asarray(a, float) for a in (*areas, length)),
-    )
+    g = geometry or {}
+    chamber, force = layout.areas(g)
+    length = jnp.asarray(g.get("chamber_length", 1.0), float)
     return Rig(
         lands=Lands(),
-        chambers=chambers,
+        chambers=Chambers(chamber[0], chamber[1], length),
         mechanics=Friction(),
-        force_area_1=jnp.asarray(acts[0], float),
-        force_area_2=jnp.asarray(acts[1], float),
+        force_area_1=force[0],
+        force_area_2=force[1],
     )

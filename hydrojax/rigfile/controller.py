@@ -107,10 +107,10 @@ def make_loop(
     Raises:
         InputError: a key, unit or value that will not do, or a rig without a valve.
     """
-    if spec.layout == "driven-axis":
+    if not spec.layout.has_valve:
         raise InputError(
-            f"{spec.path}: layout 'driven-axis' has no valve to close a loop with; "
-            "give the rig's areas and another layout"
+            f"{spec.path}: layout {spec.layout.name!r} has no valve to close a "
+            "loop with; give the rig's areas and another layout"
         )
     nominal = make_rig(replace(spec, effects={}), {})
     keys = file_keys(spec) | _read(where, gains or {}, spec)

@@ -176,7 +176,7 @@ def rerun(
 
     F_d = np.interp(at[:-1], t, log.signals["F_d"][rows])
     path = log_path(log, spec, (start, stop))
-    if "P_a1" in log.signals and spec.layout != "single":
+    if "P_a1" in log.signals and "P_a1" in spec.layout.pressures:
         first = jnp.asarray(np.median(log.signals["P_a1"][rows][:5]))
         loop = eqx.tree_at(lambda lo: lo.P_start, loop, first)
     return make_scenario(F_d, path, h, given("P_s"), given("P_r")), loop
@@ -258,7 +258,7 @@ def columns(run: Run, spec: RigFile) -> dict[str, tuple[str, np.ndarray]]:
         place: (unit, values),
     }
     for name in ("P_a1", "P_a2", "P_s", "F"):
-        if not (spec.layout == "single" and name == "P_a1"):
+        if name not in spec.layout.unmeasured:
             out[name] = ("N" if name == "F" else "Pa", run[name])
     return out | {"F_d": ("N", run.F_d)}
 

@@ -7,16 +7,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, NoReturn, get_args
+from typing import Annotated, Any, NoReturn
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.log import SIGNALS, Channel
 from hydrojax.parameters import Spec
-
-Layout = Literal["pull-pull", "differential", "single", "driven-axis"]
+from hydrojax.plant.layout import LAYOUTS, Layout
 
 ControllerValue = str | int | float | list[str | int | float]
 """A quantity, a number in the paper's unit, or two bounds of either."""
@@ -28,12 +27,6 @@ GEOMETRY = {
 }  # fmt: skip
 """What [geometry] may hold, and the SI unit."""
 
-_NEEDED = {
-    "pull-pull": ("area", "chamber_length"),
-    "differential": ("area_1", "area_2", "chamber_length"),
-    "single": ("area",),
-    "driven-axis": (),
-}
 _SUPPLY = {"P_s": "Pa", "P_r": "Pa"}
 SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
 """Supply and return pressure (Pa) where neither log nor rig file has them."""
@@ -63,7 +56,7 @@ class RigFile:
 
     Attributes:
         name: the rig's, or the file's if it gives none.
-        layout: "pull-pull", "differential", "single" or "driven-axis".
+        layout: one of `hydrojax.plant.layout.LAYOUTS`.
         geometry: area, area_1, area_2 in m^2, chamber_length, radius, x_mid in m;
             x_from and x_to in m, between which profiles along the stroke are laid.
         supply: P_s, P_r in Pa, for logs without these channels.
@@ -80,7 +73,7 @@ class RigFile:
     """
 
     name: str
-    layout: str
+    layout: Layout
     geometry: dict[str, float]
     supply: dict[str, float]
     sensors: dict[str, float]
@@ -98,11 +91,17 @@ class RigFile:
         return SUPPLY | self.supply
 
 
+def _known_layout(name: str) -> str:
+    if name not in LAYOUTS:
+        raise ValueError(f"unknown layout {name!r}")
+    return name
+
+
 class _Sections(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
     name: str = ""
-    layout: Layout
+    layout: Annotated[str, AfterValidator(_known_layout)]
     geometry: dict[str, Any] = {}
     supply: dict[str, Any] = {}
     sensors: dict[str, Any] = {}
@@ -163,7 +162,7 @@ def read_rig(
     }
     spec = RigFile(
         name=file.name or path.stem,
-        layout=file.layout,
+        layout=LAYOUTS[file.layout],
         geometry=_quantities(f"{path}: [geometry]", file.geometry, GEOMETRY),
         supply=_quantities(f"{path}: [supply]", file.supply, _SUPPLY),
         sensors=_quantities(f"{path}: [sensors]", file.sensors, noise_units),
@@ -204,7 +203,7 @@ def _refuse(path: Path, tree: Mapping[str, Any], error: ValidationError) -> NoRe
     keys = [str(key) for key in first["loc"]]
     where = f"{path}: [{keys[0]}]" if len(keys) > 1 else f"{path}:"
     if keys == ["layout"]:
-        layouts = get_args(Layout)
+        layouts = tuple(LAYOUTS)
         given = tree.get("layout")
         said = "is missing" if given is None else f"{given!r} is unknown"
         near = get_close_matches(str(given), layouts, n=1)
@@ -338,11 +337,11 @@ def _entry(given: _Given, command: str) -> Entry:
 
 def _check(spec: RigFile) -> None:
     """Refuse what no rig can have, and geometry that the layout lacks."""
-    for key in _NEEDED[spec.layout]:
+    for key in spec.layout.geometry:
         if key not in spec.geometry:
             raise InputError(
                 f"{spec.path}: [geometry] {key} is missing, which layout "
-                f'{spec.layout!r} needs; add {key} = "... {GEOMETRY[key]}"'
+                f'{spec.layout.name!r} needs; add {key} = "... {GEOMETRY[key]}"'
             )
     positive = {"geometry": spec.geometry, "sensors": spec.sensors}
     for section, values in positive.items():

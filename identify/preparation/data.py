@@ -168,12 +168,14 @@ def driver(logs: Sequence[Log], spec: RigFile) -> str:
                 f"{log.name}: columns differ from {logs[0].name} ({', '.join(odd)}): "
                 "logs that are fitted together need the same signals"
             )
-    pressures = {"P_a2"} if spec.layout == "single" else {"P_a1", "P_a2"}
+    pressures = set(spec.layout.pressures)
     force = "F" in has or "F" in spec.load
     name = logs[0].name
-    if spec.layout == "driven-axis":
+    if not spec.layout.has_valve:
         if "P" not in has:
-            raise InputError(f"{name}: a driven-axis needs the drive force: P [N]")
+            raise InputError(
+                f"{name}: a {spec.layout.name} needs the drive force: P [N]"
+            )
         driver = "P"
     elif "u" in has:
         if not (pressures & has) and not force:

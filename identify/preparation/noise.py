@@ -10,7 +10,6 @@ from scipy import interpolate, signal
 
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
-from hydrojax.plant.rig import bare_rig
 from hydrojax.rigfile.schema import RigFile
 
 CHANNELS = ("P_a1", "P_a2", "F")
@@ -167,9 +166,9 @@ def supply_noise_of(logs: Sequence[Log], spec: RigFile) -> float:
 
 
 def force_areas(spec: RigFile) -> tuple[float, float]:
-    """Areas on which P_a1 and P_a2 push, m^2; see `bare_rig`."""
-    rig = bare_rig(spec.layout, spec.geometry)
-    return float(rig.force_area_1), float(rig.force_area_2)
+    """Areas on which P_a1 and P_a2 push, m^2; (16)."""
+    area_1, area_2 = spec.layout.areas(spec.geometry)[1].tolist()
+    return area_1, area_2
 
 
 def level(logs: Sequence[Log], name: str) -> float:

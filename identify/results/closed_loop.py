@@ -57,7 +57,7 @@ def check_loop(
     Returns:
         None where there is no closed loop to compare: no u, F or F_d.
     """
-    if not {"u", "F", "F_d"} <= set(log.signals) or spec.layout == "driven-axis":
+    if not {"u", "F", "F_d"} <= set(log.signals) or not spec.layout.has_valve:
         return None
     known = identified(spec, values)
     effects = make_effects((*spec.effects, *added), spec, travel)

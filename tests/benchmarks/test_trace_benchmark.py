@@ -238,7 +238,7 @@ def test_a_differential_cylinder_reads_back(tmp_path):
     (spec,) = cases.plan(0, {"differential": 1})
     cases.write_cases([spec], tmp_path, seconds=0.6)
     rig = load_rig(tmp_path / spec.name / "rig.toml")
-    assert rig.layout == "differential"
+    assert rig.layout.name == "differential"
     assert 0.55 < rig.geometry["area_1"] / rig.geometry["area_2"] < 0.85
     s = read_log(tmp_path / spec.name / "fit_1.csv").signals
     assert "x" in s and "psi" not in s

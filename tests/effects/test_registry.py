@@ -152,7 +152,7 @@ HEAD = "from hydrojax.effects import *\nimport jax.numpy as jnp\n"
 GOOD = """
 class Mine(FrictionForce):
     name = "mine"
-    betrayed_by = "v"
+    residual_axis = "v"
     c: Array = param("N*s/m", 0.0, 0.0, 1e6, "drag", strength=True, size=1e3)
 
     def force(self, at):
@@ -186,7 +186,7 @@ def test_the_example_of_what_is_refused_would_do(vocabulary, tmp_path):
             '    name = "mine"\n    needs = ("speed",)',
             "needs = ('speed',) will not do",
         ),
-        ('    betrayed_by = "v"\n', "", "add betrayed_by"),
+        ('    residual_axis = "v"\n', "", "add residual_axis"),
         ("def force", "def power", "needs a method force(...)"),
         ('"N*s/m"', '""', "the unit '' is unknown"),
         ('"N*s/m"', '"N*s/furlough"', "the unit 'N*s/furlough' is unknown"),

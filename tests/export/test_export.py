@@ -27,7 +27,7 @@ from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import load_rig
 from hydrojax.rigfile.controller import file_keys, make_loop
 
-REFERENCE = (resources.files("hydrojax") / "reference/rig.toml").read_text()
+REFERENCE = (resources.files("hydrojax") / "paper/reference.toml").read_text()
 
 RICH = """
 name = 'a "rich" rig */ 2'
@@ -577,7 +577,7 @@ class Drag(FrictionForce):
     """Drag of oil."""
 
     name = "drag"
-    betrayed_by = "v"
+    residual_axis = "v"
     c: Array = param("N*s/m", 0.0, 0.0, 1e8, "drag", strength=True, size=2e4)
 
     def force(self, at):

@@ -19,7 +19,7 @@ TRAVEL = (-0.02, 0.02)
 
 @pytest.fixture(scope="module")
 def spec():
-    with resources.as_file(resources.files("hydrojax") / "reference/rig.toml") as path:
+    with resources.as_file(resources.files("hydrojax") / "paper/reference.toml") as path:
         return load_rig(path)
 
 

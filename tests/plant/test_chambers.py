@@ -7,6 +7,7 @@ import pytest
 
 from hydrojax.effects import EFFECTS
 from hydrojax.plant.chambers import Chambers, Point, per_fourth_root, root_flow
+from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.named import get, put
 from hydrojax.plant.rig import bare_rig
 
@@ -172,7 +173,9 @@ def test_net_force_rate_is_the_papers(rig, u, v):
 
 
 def test_differential_cylinder_has_two_areas(reference):
-    rig = reference(bare_rig("differential", {"area_1": 2e-3, "area_2": 1.2e-3}))
+    rig = reference(
+        bare_rig(LAYOUTS["differential"], {"area_1": 2e-3, "area_2": 1.2e-3})
+    )
     at = point(-1.5)
     q_1, q_2 = paper_flows(lands_of(rig), at, -1.5)
     half = 0.5  # of the default length

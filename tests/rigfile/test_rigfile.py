@@ -102,7 +102,7 @@ def refusal(tmp_path: Path, text: str, *words: str) -> None:
 
 def test_sound_rig(tmp_path: Path) -> None:
     rig = read(tmp_path, SOUND)
-    assert (rig.name, rig.layout) == ("test rig", "pull-pull")
+    assert (rig.name, rig.layout.name) == ("test rig", "pull-pull")
     assert rig.geometry == pytest.approx(
         {"area": 1.18e-3, "chamber_length": 0.2, "radius": 0.085, "x_mid": -0.025}
     )
