@@ -10,7 +10,8 @@ import numpy as np
 from hydrojax.identify.estimation.fit import Point
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.score import Score
-from hydrojax.parameters import Effect, specs
+from hydrojax.parameters import specs
+from hydrojax.plant.effect import Effect
 
 
 @dataclass(frozen=True)
