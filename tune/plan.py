@@ -122,7 +122,7 @@ def sweep_rig(
     report: Path | None = None,
     frozen: bool = False,
     out: Path | None = None,
-    progress: sweep.Tell | None = None,
+    progress: sweep.Progress | None = None,
 ) -> xr.Dataset:
     """Sweep a rig file; see the command line's help for the words.
 
