@@ -15,6 +15,7 @@ from hydrojax.identify.preparation.data import Data, driver, prepare, runs_backw
 from hydrojax.identify.preparation.noise import channel_noise
 from hydrojax.identify.preparation.resolution import resolve
 from hydrojax.identify.preparation.segments import common_band
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import make_room
 from hydrojax.logs.log import Log, read_log
 from hydrojax.parameters import specs
@@ -35,6 +36,7 @@ class Case:
     fit_logs: tuple[Log, ...]
     check_logs: tuple[Log, ...]
     held_out: bool
+    criteria: Criteria = Criteria()
 
 
 def open_case(
@@ -42,6 +44,7 @@ def open_case(
     logs: Sequence[str | Path],
     validate: Sequence[str | Path] = (),
     horizon: float = 0.25,
+    criteria: Criteria = Criteria(),
 ) -> Case:
     """Read a rig file and its logs.
 
@@ -82,17 +85,17 @@ def open_case(
             )
     every = (*fitted, *others)
     driven_by = driver(every, spec)
-    band = common_band(every, spec, driven_by)
+    band = common_band(every, spec, driven_by, criteria)
     noise = channel_noise(every, spec, driven_by)
 
     def ready(logs: Sequence[Log], noise: np.ndarray, sign: float = 1.0) -> Data:
-        return prepare(logs, spec, horizon, noise, sign, band)
+        return prepare(logs, spec, horizon, noise, sign, band, criteria)
 
     fit = ready(fitted, noise)
-    found = resolve(every, len(fitted), spec, fit, ready)
+    found = resolve(every, len(fitted), spec, fit, ready, criteria)
     fitted, others = found.logs[: len(fitted)], found.logs[len(fitted) :]
     fit, notes = found.fit, found.notes
-    sign = -1.0 if runs_backward(fit) else 1.0
+    sign = -1.0 if runs_backward(fit, criteria) else 1.0
     if sign < 0:
         fit = ready(fitted, fit.noise, sign)
         notes = (
@@ -104,4 +107,4 @@ def open_case(
     check = ready(others, fit.noise, sign) if others else fit
     said = (*notes, *fit.notes, *check.notes)
     fit = replace(fit, notes=tuple(dict.fromkeys(said)))
-    return Case(spec, fit, check, fitted, others or fitted, bool(others))
+    return Case(spec, fit, check, fitted, others or fitted, bool(others), criteria)

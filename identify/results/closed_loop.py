@@ -9,15 +9,13 @@ import numpy as np
 
 from hydrojax.control.simulation import simulate
 from hydrojax.identify.results.outcome import LoopCheck
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.plant.named import get, parameter_specs, put
 from hydrojax.rigfile.build import make_effects, make_rig
 from hydrojax.rigfile.controller import make_loop
 from hydrojax.rigfile.recording import longest, rerun
 from hydrojax.rigfile.schema import Entry, RigFile
-
-MOST_SECONDS, SETTLE = 20.0, 0.5
-"""How much of a log is run again, and what of it is not compared, s."""
 
 
 def identified(spec: RigFile, values: dict[str, float]) -> RigFile:
@@ -40,6 +38,7 @@ def check_loop(
     values: dict[str, float],
     added: tuple[str, ...],
     travel: tuple[float, float],
+    criteria: Criteria = Criteria(),
 ) -> LoopCheck | None:
     """Put a log's F_d through the simulated loop and compare F with the measured F.
 
@@ -53,6 +52,7 @@ def check_loop(
         values: every parameter by name, SI, as identified.
         added: effects beyond the declared ones.
         travel: range of x over which position effects are laid, m.
+        criteria: how much of the log is run, and what of it is not compared.
 
     Returns:
         None where there is no closed loop to compare: no u, F or F_d.
@@ -67,7 +67,7 @@ def check_loop(
     at = [values.get(n, v) for n, v in zip(names, own, strict=True)]
     rig = put(rig, names, np.array(at))
     loop = make_loop(known, rig)
-    scenario, loop = rerun(known, loop, log, MOST_SECONDS)
+    scenario, loop = rerun(known, loop, log, criteria.loop_seconds)
     if scenario is None:
         return None
     with warnings.catch_warnings():
@@ -75,7 +75,7 @@ def check_loop(
         run = simulate(loop, scenario)
     start, stop = longest(log)
     t = log.time[start:stop] - log.time[start]
-    keep = (t >= SETTLE) & (t <= run.t[-1])
+    keep = (t >= criteria.loop_settle) & (t <= run.t[-1])
     desired, measured = (log.signals[n][start:stop][keep] for n in ("F_d", "F"))
     simulated = np.interp(t[keep], run.t, run["true_F"])
 

@@ -9,6 +9,7 @@ from hydrojax.effects import EFFECTS, Array, SensorChannel, param
 from hydrojax.identify.estimation.columns import Model
 from hydrojax.identify.estimation.fit import fit_pressures
 from hydrojax.identify.estimation.problem import in_play
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.plant.places import PLACES, place_of
 from hydrojax.plant.rig import Rig, add
 
@@ -38,6 +39,7 @@ class Fitted:
 
     def __init__(self, rig: Rig, free: tuple[str, ...]):
         self.model, self.free, self.asked = Model.of(rig), free, []
+        self.criteria = Criteria()
         self.batch = SimpleNamespace(noise=np.array([1e3, 1e3, np.inf]))
 
     def side(self, names, hydraulic):

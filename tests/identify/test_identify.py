@@ -27,12 +27,12 @@ from hydrojax.identify.estimation.fit import fit
 from hydrojax.identify.estimation.problem import Free, Problem, free_parameters
 from hydrojax.identify.estimation.solve import minimise
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
-from hydrojax.identify.preparation import data as prepare_room
 from hydrojax.identify.preparation import segments, windows
 from hydrojax.identify.preparation.data import prepare, runs_backward
 from hydrojax.identify.preparation.noise import estimate_noise, motion_band, smooth
 from hydrojax.identify.results import summary
 from hydrojax.identify.results.outcome import Outcome
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log, read_log
 from hydrojax.parameters import specs
 from hydrojax.plant.replay import friction_memory
@@ -219,7 +219,7 @@ def test_an_alias_is_reported_with_its_partners(recorded, tmp_path):
     rig_truth = truth(recorded(SEED))
     slope = {n: outcome.parameters[n].value for n in ("k_vp", "k_vn")}
     b = outcome.parameters["viscous_friction.b"].value
-    for name, value in slope.items():  # their combination is told
+    for name, value in slope.items():  # their combination is determined
         assert value - b == pytest.approx(rig_truth[name], rel=0.05)
 
 
@@ -553,9 +553,8 @@ def test_runs_of_a_long_log_are_what_the_whole_gives(recorded, monkeypatch):
     log = read_log(case / "fit_1.csv", spec.channels)
     whole = prepare((log,), spec)
     ticks = whole.windows.u.shape[1]
-    monkeypatch.setattr(prepare_room, "MOST_TICKS", 40 * ticks)
     monkeypatch.setattr(windows, "RUN", 8)
-    some = prepare((log,), spec)
+    some = prepare((log,), spec, criteria=Criteria(most_ticks=40 * ticks))
     count, every = len(some.P_0), len(whole.P_0)
     assert 32 <= count <= 40 < 100 < every
     assert f"{count} windows of {every}" in some.notes[-1]
