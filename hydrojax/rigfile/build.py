@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from hydrojax.control.loop import Loop, Sensors
 from hydrojax.effects import EFFECTS, offered
-from hydrojax.effects.channels import QUEUE, ValveDelay
+from hydrojax.effects.valve import QUEUE, ValveDelay
 from hydrojax.errors import InputError
-from hydrojax.parameters import Effect
+from hydrojax.plant.effect import Effect
 from hydrojax.plant.load import Driven, Inertia
 from hydrojax.plant.named import get, put
 from hydrojax.plant.rig import Rig, add, bare_rig

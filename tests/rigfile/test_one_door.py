@@ -21,8 +21,8 @@ from hydrojax.cli import app
 from hydrojax.control.simulation import hold, make_scenario, simulate
 from hydrojax.export.tree import plant
 from hydrojax.paper import experiments
-from hydrojax.parameters import Effect
 from hydrojax.plant import rig as rigs
+from hydrojax.plant.effect import Effect
 from hydrojax.plant.friction import Sliding
 from hydrojax.plant.named import get, parameter_specs
 from hydrojax.rigfile.build import build_loop, build_rig, over_travel
