@@ -8,7 +8,6 @@ from pathlib import Path
 import xarray as xr
 
 from hydrojax.errors import InputError
-from hydrojax.rigfile.build import load_rig
 from hydrojax.rigfile.quantities import (
     Quantity,
     Setting,
@@ -42,7 +41,7 @@ def open_rig(
     Raises:
         InputError: the file, a name or a value that will not do.
     """
-    spec = load_rig(path)
+    spec = RigFile.load(path)
     named = [word.partition("=")[0].strip() for word in (*at, *over)]
     setting = open_setting(spec, gains, named)
     known = quantities(spec, setting)
@@ -122,7 +121,7 @@ def sweep_rig(
     report: Path | None = None,
     frozen: bool = False,
     out: Path | None = None,
-    progress: sweep.Tell | None = None,
+    progress: sweep.Progress | None = None,
 ) -> xr.Dataset:
     """Sweep a rig file; see the command line's help for the words.
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
-import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -19,9 +17,11 @@ import xarray as xr
 
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import make_room
+from hydrojax.rigfile.fingerprint import code_fingerprint
 from hydrojax.rigfile.quantities import Quantity, Setting
 from hydrojax.tune import linearize, measure, metrics, operating_point
 from hydrojax.tune.axes import Axis, Plants, cells
+from hydrojax.tune.chunks import Chunks
 from hydrojax.tune.dataset import dataset, save_dataset
 from hydrojax.tune.program import on_all_devices, program
 
@@ -29,8 +29,14 @@ METHODS = ("linear", "multisine", "noise")
 MEMORY = 256e6
 """Bytes that a chunk's signals may take."""
 
-Tell = Callable[[int, int], None]
-"""Hears of done cells, of how many."""
+MADE_BY = (
+    linearize.system, linearize.response, linearize.radius, metrics.merits,
+    measure.measure, measure.multisine, measure.white_noise, operating_point.still,
+)  # fmt: skip
+"""The functions that make a sweep's figures: their code is part of its key."""
+
+Progress = Callable[[int, int], None]
+"""Called with the cells that are done, and their total number."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +92,12 @@ class Plan:
         return s
 
     def key(self) -> str:
-        """What the sweep depends on, in a few letters."""
+        """What the sweep depends on, in a few letters: the question and the code."""
+        code = code_fingerprint(self.setting, MADE_BY)
+        return hashlib.sha256(f"{self.question()} {code}".encode()).hexdigest()[:16]
+
+    def question(self) -> str:
+        """What is asked, in a few letters: rig, operating point, axes and plants."""
         seen = hashlib.sha256()
         for leaf in jax.tree.leaves((self.setting, self.table())):
             seen.update(np.asarray(leaf).tobytes())
@@ -217,7 +228,7 @@ def chunk_size(plan: Plan, method: str) -> int:
 
 
 def run(
-    plan: Plan, folder: Path | None = None, progress: Tell | None = None
+    plan: Plan, folder: Path | None = None, progress: Progress | None = None
 ) -> xr.Dataset:
     """Sweep, or go on with a sweep, or find it done.
 
@@ -230,12 +241,11 @@ def run(
         InputError: the folder holds another sweep.
     """
     make_room()
-    key = plan.key()
-    if folder is not None:
-        _claim(folder, key)
-        kept = _whole(plan, folder)
-        if kept is not None:
-            return kept
+    chunks = _chunks_of(plan, folder)
+    chunks.claim()
+    kept = chunks.whole(plan.methods)
+    if kept is not None:
+        return kept
     count = len(plan.table())
     total, gone = count * len(plan.methods), 0
     work: _Work | None = None
@@ -251,7 +261,7 @@ def run(
         parts: dict[int, dict[str, np.ndarray]] = {}
         size, tag = chunk_size(plan, method), _tag(plan, method)
         for i in range(-(-count // size)):
-            kept = _read(folder, tag, i)
+            kept = chunks.read(tag, i)
             if kept is not None:
                 parts[i] = kept
                 tell_more(len(next(iter(kept.values()))))
@@ -260,7 +270,7 @@ def run(
 
             def save(i, out, parts=parts, tag=tag):
                 parts[i] = out
-                _write(folder, tag, i, out)
+                chunks.write(tag, i, out)
 
             work.run(method, save, set(parts), tell_more)
         found[method] = {
@@ -279,14 +289,15 @@ def left(plan: Plan, folder: Path) -> list[tuple[str, int]]:
     Raises:
         InputError: the folder holds another sweep.
     """
-    _claim(folder, plan.key())
-    if _whole(plan, folder) is not None:
+    chunks = _chunks_of(plan, folder)
+    chunks.claim()
+    if chunks.whole(plan.methods) is not None:
         return []
     return [
         (method, i)
         for method in plan.methods
-        for i in range(_chunks(plan, method))
-        if not _part(folder, _tag(plan, method), i).exists()
+        for i in range(_count(plan, method))
+        if not chunks.has(_tag(plan, method), i)
     ]
 
 
@@ -297,15 +308,15 @@ def chunk_worker(plan: Plan, folder: Path) -> Callable[[str, int], None]:
         plan: as `prepare` gives it.
         folder: of the sweep, the same for all workers.
     """
-    work = _Work(plan)
+    work, chunks = _Work(plan), _chunks_of(plan, folder)
 
     def do(method: str, i: int) -> None:
         tag = _tag(plan, method)
-        if not _part(folder, tag, i).exists():
-            others = set(range(_chunks(plan, method))) - {i}
+        if not chunks.has(tag, i):
+            others = set(range(_count(plan, method))) - {i}
             work.run(
                 method,
-                lambda i, out: _write(folder, tag, i, out),
+                lambda i, out: chunks.write(tag, i, out),
                 others,
                 lambda _: None,
             )
@@ -313,50 +324,10 @@ def chunk_worker(plan: Plan, folder: Path) -> Callable[[str, int], None]:
     return do
 
 
-def _chunks(plan: Plan, method: str) -> int:
+def _count(plan: Plan, method: str) -> int:
+    """How many chunks a method has."""
     return -(-int(np.prod(plan.shape)) // chunk_size(plan, method))
 
 
-def _whole(plan: Plan, folder: Path) -> xr.Dataset | None:
-    """The sweep that is done, if it has all that is asked for."""
-    if not (folder / "sweep.nc").exists():
-        return None
-    kept = xr.load_dataset(folder / "sweep.nc", engine="h5netcdf")
-    return kept if set(kept.attrs["methods"].split()) >= set(plan.methods) else None
-
-
-def _claim(folder: Path, key: str) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    mark = folder / "plan.json"
-    if mark.exists():
-        if json.loads(mark.read_text())["key"] != key:
-            raise InputError(
-                f"{folder}: holds another sweep; name another folder with --out, or "
-                "remove it"
-            )
-        return
-    mark.write_text(json.dumps({"key": key}) + "\n")
-
-
-def _part(folder: Path, tag: str, i: int) -> Path:
-    return folder / "parts" / f"{tag}-{i:05d}.npz"
-
-
-def _read(folder: Path | None, tag: str, i: int) -> dict | None:
-    if folder is None or not _part(folder, tag, i).exists():
-        return None
-    with np.load(_part(folder, tag, i)) as file:
-        return dict(file)
-
-
-def _write(folder: Path | None, tag: str, i: int, out: dict) -> None:
-    """A chunk, whole or not at all."""
-    if folder is None:
-        return
-    path = _part(folder, tag, i)
-    path.parent.mkdir(exist_ok=True)
-    with tempfile.NamedTemporaryFile(
-        dir=path.parent, suffix=".draft", delete=False
-    ) as file:
-        np.savez(file, **out)
-    os.replace(file.name, path)
+def _chunks_of(plan: Plan, folder: Path | None) -> Chunks:
+    return Chunks(folder, plan.question(), plan.key())

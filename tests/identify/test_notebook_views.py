@@ -88,7 +88,7 @@ def test_an_outcome_shows_effects_channels_and_parameters():
 
 
 def test_an_outcome_plots_what_tells_most():
-    assert len(explained().plot().axes) == 3  # against what betrays each effect
+    assert len(explained().plot().axes) == 3  # against the signal of each effect
     assert len(nothing_missing().plot().axes) == 1
     assert len(explained().plot("residual").axes) == 6
     assert isinstance(identified().plot("parameter"), Figure)

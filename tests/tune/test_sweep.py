@@ -12,6 +12,7 @@ import pytest
 import xarray as xr
 
 from hydrojax import cli
+from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.errors import InputError
 from hydrojax.paper.experiments import reference
 from hydrojax.rigfile.quantities import open_setting, quantities
@@ -207,6 +208,69 @@ def test_a_sweep_is_not_resumed_with_adaptation_frozen_or_freed(
         for resume in (sweep.run, sweep.left):
             with pytest.raises(InputError, match="another sweep"):
                 resume(other, folder)
+
+
+DRAG = """
+from hydrojax.effects import Array, FrictionForce, param
+
+SHARE = 1.0
+
+def helper(c, v):
+    return {helper} * c * v
+
+class OwnDrag(FrictionForce):
+    name = "own_drag"
+    residual_axis = "v"
+    c: Array = param("N*s/m", 0.0, 0.0, 1e6, "drag", strength=True, size=1e3)
+
+    def force(self, at):
+        return {share} * SHARE * helper(self.c, at.v)
+"""
+
+
+@pytest.fixture
+def own_effect(tmp_path):
+    """What writes and loads a user's effect; the vocabulary is restored afterwards."""
+    before = dict(EFFECTS)
+
+    def load(share="1.0", helper="1.0"):
+        path = tmp_path / "own.py"
+        path.write_text(DRAG.format(share=share, helper=helper))
+        load_effects(path)
+        return open_setting(SPEC, extra=("own_drag.c",))
+
+    yield load
+    EFFECTS.clear()
+    EFFECTS.update(before)
+
+
+def test_a_sweep_resumed_after_an_effect_s_code_changed_is_of_the_new_code(
+    own_effect, tmp_path
+):
+    words, out = ["own_drag.c=1e3,2e4"], tmp_path / "sweep"
+
+    def swept(setting, folder=None):
+        plan = plan_of(setting, quantities(SPEC, setting), words)
+        return sweep.run(plan, folder)
+
+    swept(own_effect(), out)
+    kept = {p.name for p in (out / "parts").iterdir()}
+    changed = own_effect(share="9.0")
+    resumed, anew = swept(changed, out), swept(changed)
+    assert kept.isdisjoint(p.name for p in (out / "parts").iterdir())
+    xr.testing.assert_identical(resumed, xr.load_dataset(out / "sweep.nc"))
+    for name, table in anew.data_vars.items():
+        np.testing.assert_array_equal(resumed[name], table)
+
+
+def test_the_key_holds_the_code_of_an_effect_and_of_what_it_calls(own_effect):
+    def key(setting):
+        return plan_of(setting, quantities(SPEC, setting), ["own_drag.c=1,2"]).key()
+
+    first = key(own_effect())
+    assert key(own_effect()) == first
+    others = [key(own_effect(share="2.0")), key(own_effect(helper="2.0"))]
+    assert len({first, *others}) == 3
 
 
 def test_the_ensemble_and_what_95_percent_reach(setting, known):

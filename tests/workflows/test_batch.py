@@ -22,6 +22,7 @@ import pandas as pd
 import psutil
 import pytest
 
+from hydrojax.effects.mechanics import ViscousFriction
 from hydrojax.identify import api as identifying
 from hydrojax.identify.case import open_case
 from hydrojax.tune import plan as tuning
@@ -258,6 +259,15 @@ def test_an_unreadable_result_is_done_again(tmp_path):
     (out / "fleet.parquet").unlink()
     assert pretended(table, out) == Ran(3, 1, 0, True)
     assert digest(out) == before
+
+
+def test_a_job_s_key_holds_the_code_of_the_effects(tmp_path, monkeypatch):
+    """A fleet that is resumed after an effect changed does its jobs anew."""
+    table, out = fleet(tmp_path, good(2)), tmp_path / "out"
+    assert pretended(table, out) == Ran(2, 2, 0, True)
+    assert pretended(table, out).done == 0
+    monkeypatch.setattr(ViscousFriction, "force", lambda self, at: 2 * self.b * at.v)
+    assert pretended(table, out).done == 2
 
 
 # -- kills --

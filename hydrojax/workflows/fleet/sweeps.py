@@ -33,7 +33,7 @@ def share_sweep(
     effects: Sequence[Path],
     out: Path,
     address: str,
-    progress: sweep.Tell | None = None,
+    progress: sweep.Progress | None = None,
 ) -> None:
     """Have the chunks that a sweep's folder lacks worked out by a cluster.
 

@@ -15,8 +15,10 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hydrojax import __version__
+from hydrojax.effects import EFFECTS, offered
+from hydrojax.effects.registry import file_of
 from hydrojax.errors import InputError
+from hydrojax.rigfile.fingerprint import code_fingerprint
 from hydrojax.workflows.fleet.jobs import Command, Job, Jobs
 from hydrojax.workflows.fleet.store import Store
 
@@ -87,7 +89,8 @@ def _key(job: Job, folder: Path, options: Options) -> str:
     """What a job's result depends on, in 24 letters.
 
     The rig's and the own effects' text, each log's path, size and time of change, the
-    options and hydrojax's version; not its name and its labels.
+    options, hydrojax's version and the code of all effects that a trace may add; not
+    its name and its labels.
     """
     root = str(folder)
     how = options.model_dump_json(exclude={"effects"})
@@ -102,7 +105,9 @@ def _key(job: Job, folder: Path, options: Options) -> str:
 @lru_cache(maxsize=16)
 def _how(options: str, effects: tuple[str, ...]) -> Any:
     """A hash of how jobs are done, which every job's own begins with."""
-    seen = hashlib.sha256(__version__.encode())
+    offered()
+    known = {name: e for name, e in EFFECTS.items() if file_of(e) is None}
+    seen = hashlib.sha256(code_fingerprint(known).encode())
     seen.update(options.encode())
     for path in effects:
         seen.update(_content(path))
