@@ -1,221 +1,130 @@
-"""A tuning from end to end: gains, adaptation, what limits them, before and after."""
+"""A tuning: gains, metrics before and after, and what limits the loop."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from scipy import optimize
+from jaxtyping import Float
 
-from hydrojax.plant.named import parameter_specs
-from hydrojax.rigfile.quantities import Quantity, Setting
-from hydrojax.tune import optimize as tuning
-from hydrojax.tune.axes import Plants
-from hydrojax.tune.metrics import least, most, number
-from hydrojax.tune.objective import Goal, Limits
+from hydrojax.rigfile import edit
+from hydrojax.rigfile.schema import RigFile
+from hydrojax.tune.limiting import Relaxed
+from hydrojax.tune.metrics import rig_metrics, worst_metrics
+from hydrojax.tune.objective import Limits
+from hydrojax.tune.optimize import Optimum
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
-FREE = ("k_p", "k_f", "k_1")
-"""What is tuned where nothing else is said: both gains, and how much of the desired
-force's rate is fed forward."""
 
-ADAPTATION = ("rho_a", "c_1", "c_2", "c_3", "A_a_lower", "A_a_upper")
-"""What is tuned beside them with `--adaptation`, as far as the rig adapts it."""
-
-MERITS = {"within_1dB": "within_1dB_Hz", "peak": "peak_dB", "rms": "rms_N"}
-"""What tune.json says of a loop."""
-
-
-@dataclass(frozen=True)
-class Relaxed:
-    """What the loop could do without one of its limits; Hz, of the worst plant."""
-
-    what: str
-    band: float
-    gain: float  # relative to the tuned loop
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Tuned:
-    """What `tune` found.
+    """What `tune_gains` found.
 
     Attributes:
-        rig: its name.
-        gains: by name, in the unit of `units`.
-        before, after: merits of every plant, [m, ...]; the rig itself is the first.
-        hertz: of their responses.
-        found: the descent's end.
-        relaxed: what limits it, the most first.
+        file: the rig file that was tuned, with the gains that it had.
+        gains: values by name, in the unit of `units`.
+        units: of the gains: the paper's.
+        start: the values before.
+        before, after: metrics of every plant by name; the rig itself is the first.
+        hertz: of the responses among them.
+        optimum: where the descents ended.
+        relaxed: what limits the loop, the most first.
         plants: what the ensemble is.
-        promises: what else is compared: title, gains of which, merits of the rig.
         limits: what was to be kept.
+        comparison: of models and gains: a title, and metrics of the rig itself.
+        notes: remarks.
     """
 
-    rig: str
+    file: RigFile
     gains: dict[str, float]
     units: dict[str, str]
     start: dict[str, float]
-    before: dict[str, np.ndarray]
-    after: dict[str, np.ndarray]
-    hertz: np.ndarray
-    found: tuning.Found
+    before: dict[str, Float[np.ndarray, "plants *rest"]]
+    after: dict[str, Float[np.ndarray, "plants *rest"]]
+    hertz: Float[np.ndarray, "lines"]
+    optimum: Optimum
     relaxed: tuple[Relaxed, ...]
     plants: str
     limits: Limits
-    promises: tuple[tuple[str, dict[str, float]], ...] = ()
+    comparison: tuple[tuple[str, dict[str, float | None]], ...] = ()
     notes: tuple[str, ...] = field(default=())
+
+    @property
+    def name(self) -> str:
+        """The rig's."""
+        return self.file.name
+
+    @cached_property
+    def rig(self) -> RigFile:
+        """The rig file with the gains in it; all else, comments too, as it was."""
+        keys: dict[str, Any] = {}
+        for name, value in self.gains.items():
+            written = edit.text(value, self.units[name])
+            key, _, end = name.removesuffix("_hat").rpartition("_")
+            if end in ("lower", "upper"):
+                both = keys.get(key, self.file.controller.get(key, written))
+                both = list(both) if isinstance(both, list) else [both, both]
+                both[end == "upper"] = written
+                keys[key] = both
+            else:
+                keys[name.removesuffix("_hat")] = written
+        text = edit.rewrite(self.file, {}, controller=keys)
+        return RigFile.from_text(text, self.file.path)
+
+    def to_frame(self) -> pd.DataFrame:
+        """The gains: a row each, with columns `before`, `after` and `unit`."""
+        import pandas as pd
+
+        rows = {n: (self.start[n], v, self.units[n]) for n, v in self.gains.items()}
+        columns = ["before", "after", "unit"]
+        frame = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+        return frame.rename_axis("gain")
+
+    def summary(self) -> str:
+        """Gains, metrics before and after, and what limits the loop, as text."""
+        from hydrojax.tune import display
+
+        return display.summary(self)
 
     def json(self) -> dict[str, Any]:
         """The content of tune.json: gains in the paper's units."""
-        worst = {
-            "within_1dB_Hz": least(self.after["within_1dB"]),
-            "peak_dB": most(self.after["peak"]),
-            "rms_N": most(self.after["rms"]),
-        }
         return {
             "gains": self.gains,
-            "before": own(self.before),
-            "after": own(self.after),
-            "worst_of_ensemble": worst,
+            "before": rig_metrics(self.before),
+            "after": rig_metrics(self.after),
+            "worst_of_ensemble": worst_metrics(self.after),
         }
 
     def plot(self) -> Figure:
         """Gain and phase before and after, with the ensemble's range."""
-        from hydrojax.tune import (
-            tuned,  # it draws: whoever only reads a tuning needs no pictures
-        )
+        from hydrojax.tune import display  # draws; reading a tuning needs no pictures
 
-        return tuned.bode_figure(self)
+        return display.bode_figure(self)
+
+    def save(self, folder: str | Path) -> None:
+        """Write tune.json, rig.toml, pictures and report.html into a folder."""
+        from hydrojax.tune import report
+
+        report.write(self, Path(folder))
+
+    def __repr__(self) -> str:
+        gains = ", ".join(f"{n}={v:.4g}" for n, v in self.gains.items())
+        band = minimum_band(self)
+        return f"<Tuned {self.name!r}: {gains}; within 1 dB up to {band:.1f} Hz>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        from hydrojax.tune import tuned
+        from hydrojax.tune import display
 
-        return tuned.html(self)
-
-
-def own(found: dict[str, np.ndarray]) -> dict[str, float]:
-    """The rig's own merits, by tune.json's names; null where it is unstable."""
-    return {name: number(found[key][0]) for key, name in MERITS.items()}
+        return display.html(self)
 
 
-def widen(setting: Setting, plants: Plants) -> Plants:
-    """The plants with the spool's lag and the delay among their parameters.
-
-    So that both can be relaxed without compiling anew.
-    """
-    from hydrojax.plant.named import get
-
-    known = parameter_specs(setting.loop.rig)
-    more = [
-        n for n in ("valve_lag.tau", "valve_delay.tau_u")
-        if n in known and n not in plants.names
-    ]  # fmt: skip
-    if not more:
-        return plants
-    here = np.asarray(get(setting.loop.rig, more))
-    values = np.hstack([plants.values, np.tile(here, (len(plants.values), 1))])
-    return Plants((*plants.names, *more), values, plants.says)
-
-
-def what_limits(
-    goal: Goal, found: tuning.Found, progress: Callable[[str], None]
-) -> tuple[Relaxed, ...]:
-    """Each limit taken away in turn, the loop tuned again: who holds it back."""
-    keep, values, names = goal.limits, goal.values, list(goal.names)
-    stiff = goal.setting
-    more_supply = replace_P_s(stiff, 1.5)
-    cases: dict[str, Goal] = {
-        "peak: 3 dB more": goal.relaxed(limits=replace(keep, peak=keep.peak + 3)),
-        "margins: 3 dB less": goal.relaxed(
-            limits=replace(keep, sensitivity=keep.sensitivity + 3)
-        ),
-        "sensor noise: none": goal.relaxed(limits=replace(keep, noise=1e3)),
-        "tracking and rejection: not asked for": goal.relaxed(
-            limits=replace(keep, tracking=1e3, rejection=1e-2)
-        ),
-        "pressure range: supply half as high again": goal.relaxed(
-            setting=more_supply, limits=replace(keep, push=1e3)
-        ),
-        "the rig itself known exactly": goal.relaxed(
-            values=np.repeat(values[:1], len(values), axis=0)
-        ),
-    }
-    for name, what, factor in (
-        ("valve_lag.tau", "spool: ten times as fast", 0.1),
-        ("valve_delay.tau_u", "computing delay: none", 0.0),
-    ):
-        if name in names:
-            other = values.copy()
-            other[:, names.index(name)] *= factor
-            cases[what] = goal.relaxed(values=other)
-    base = least(goal.look(found.gains)["within_1dB"])
-    out = []
-    for what, case in cases.items():
-        progress(f"what limits it: {what}")
-        other = tuning.tune(case, 1, begin=found.gains)
-        band = least(case.look(other.gains)["within_1dB"])
-        if not other.kept:
-            # The descent came to nothing: what the same gains give is a lower bound.
-            band = max(base, least(case.look(found.gains)["within_1dB"]))
-        out.append(Relaxed(what, band, band / base - 1 if base else np.nan))
-    return tuple(sorted(out, key=lambda r: -r.gain))
-
-
-def replace_P_s(setting: Setting, factor: float) -> Setting:
-    """The setting under another supply."""
-    import equinox as eqx
-
-    return eqx.tree_at(lambda s: s.P_s, setting, setting.P_s * factor)
-
-
-def adapt(
-    goal: Goal, free: list[Quantity], gains: np.ndarray, progress: Callable[[str], None]
-) -> np.ndarray:
-    """Rates and bounds of the adaptation that track best, by descent through the run.
-
-    Args:
-        goal: whose run, plants and gains' quantities are used.
-        free: rates and bounds above 0.
-        gains: of the goal, kept as they are.
-        progress: called with a line of text at each stage.
-
-    Returns:
-        Their values, in their units; those they had if nothing better was found.
-    """
-    progress("adaptation: descent through the run")
-    setting = goal.at(gains)
-    inner = copy_with(goal, setting, free)
-    here = inner.here()
-    given = inner._given()
-    run, slope = jax.jit(inner._tracking), jax.jit(jax.jacfwd(inner._tracking))
-
-    def look(y):
-        g = jnp.asarray(here * np.exp(y))
-        rms = np.asarray(run(g, given))
-        steep = np.asarray(slope(g, given)) * np.asarray(g)
-        if not (np.all(np.isfinite(rms)) and np.all(np.isfinite(steep))):
-            return 1e3, np.zeros(y.size)
-        mean = np.mean(rms**2)
-        return 0.5 * np.log(mean), (rms @ steep) / rms.size / mean
-
-    done = optimize.minimize(
-        look, np.zeros(here.size), jac=True, method="L-BFGS-B",
-        bounds=[(-np.log(10), np.log(10))] * here.size,
-        options={"maxiter": 12},
-    )  # fmt: skip
-    better = done.fun < look(np.zeros(here.size))[0] - 1e-3
-    return here * np.exp(done.x) if better else here
-
-
-def copy_with(goal: Goal, setting: Setting, free: list[Quantity]) -> Goal:
-    """The goal over other quantities, for its run alone."""
-    out = goal.relaxed(setting=setting)
-    out.free = free
-    return out
+def minimum_band(tuned: Tuned) -> float:
+    """Up to where the worst plant is within 1 dB with the new gains, Hz."""
+    return worst_metrics(tuned.after)["within_1dB_Hz"] or 0.0

@@ -9,7 +9,7 @@ import typer
 
 from hydrojax.cli.options import (
     Effects,
-    RigFile,
+    RigPath,
     app,
     check_out,
     console,
@@ -23,7 +23,7 @@ from hydrojax.report.files import write_all
 
 @app.command()
 def export(
-    rig: RigFile,
+    rig: RigPath,
     to: Annotated[
         list[str],
         typer.Option(

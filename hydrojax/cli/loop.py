@@ -13,15 +13,15 @@ from hydrojax.cli.options import (
     Gains,
     Logs,
     Out,
-    RigFile,
+    RigPath,
     app,
     check_file,
     check_out,
     console,
-    given,
     load_effects,
     show_progress,
 )
+from hydrojax.cli.words import read_gains
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 from hydrojax.report.files import write_all
@@ -29,7 +29,7 @@ from hydrojax.report.files import write_all
 
 @app.command()
 def simulate(
-    rig: RigFile,
+    rig: RigPath,
     gains: Gains = None,
     reference: Annotated[
         str,
@@ -70,7 +70,7 @@ def simulate(
     spec = load_rig(rig)
     with show_progress() as progress:
         progress("run the closed loop")
-        loop = make_loop(spec, None, given(gains or []))
+        loop = make_loop(spec, None, read_gains(gains or []))
         scenario = recording.read_scenario(spec, loop, reference, motion, seconds, seed)
         x = scenario.environment.x
         own = make_effects(spec.effects, spec, (float(x.min()), float(x.max())))
@@ -110,7 +110,7 @@ def _noiseless(sensors: dict[str, float]) -> str:
 
 @app.command()
 def excite(
-    rig: RigFile,
+    rig: RigPath,
     separate: Annotated[
         list[str] | None,
         typer.Option(help="Two effects to be told apart: both words that follow."),
@@ -166,7 +166,7 @@ def excite(
 
 @app.command()
 def bounds(
-    rig: RigFile,
+    rig: RigPath,
     logs: Logs,
     validate: Annotated[
         list[Path] | None,

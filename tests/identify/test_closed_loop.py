@@ -19,7 +19,9 @@ TRAVEL = (-0.02, 0.02)
 
 @pytest.fixture(scope="module")
 def spec():
-    with resources.as_file(resources.files("hydrojax") / "paper/reference.toml") as path:
+    with resources.as_file(
+        resources.files("hydrojax") / "paper/reference.toml"
+    ) as path:
         return load_rig(path)
 
 
