@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from hydrojax.effects import EFFECTS
-from hydrojax.effects.channels import QUEUE
+from hydrojax.effects.valve import QUEUE
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.estimation.fit import (
@@ -36,17 +36,12 @@ from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.summary import summarise
 from hydrojax.identify.tracing.loop import trace
 from hydrojax.identify.tracing.state import Tracing
-from hydrojax.parameters import Effect, specs
-from hydrojax.rigfile.build import make_effects, make_rig
+from hydrojax.parameters import specs
+from hydrojax.plant.effect import Effect
+from hydrojax.rigfile.build import build_rig, effects_of
 from hydrojax.rigfile.edit import rewrite
 
-Tell = Callable[[str], None]
-
-BLIND_STARTS = 4
-"""Starts at least where no pressure is measured: one often leads astray there."""
-
-TOLD = 3.0
-"""Standard deviations by which a fit must tell k_cp from k_cn to keep them apart."""
+Progress = Callable[[str], None]
 
 
 def applicable(case: Case) -> tuple[str, ...]:
@@ -69,9 +64,8 @@ def _problems(
     case: Case, candidates: Sequence[str]
 ) -> tuple[Problem, Problem, tuple[str, ...], dict[str, Effect]]:
     """Problems on both sets of logs, the free parameters, the candidates' modules."""
-    names = (*case.spec.effects, *candidates)
-    effects = make_effects(names, case.spec, case.fit.travel)
-    rig = make_rig(case.spec, effects)
+    effects = effects_of(candidates, case.spec)
+    rig = build_rig(case.spec, candidates)
     free = free_parameters(case.spec)
     known = dict(free)
     for name in candidates:
@@ -81,15 +75,14 @@ def _problems(
         reach = (QUEUE - 1) * float(np.min(case.fit.windows.h))
         f = known["valve_delay.tau_u"]
         known["valve_delay.tau_u"] = replace(f, upper=min(f.upper, reach))
-    problem = Problem.of(rig, free, case.fit)
-    check = Problem.of(rig, free, case.check)
+    problem = Problem.of(rig, free, case.fit, case.criteria)
+    check = Problem.of(rig, free, case.check, case.criteria)
     use = in_play(problem, case.fit)
-    dormant = {n: e for n, e in effects.items() if n in candidates}
-    return replace(problem, free=known), check, use, dormant
+    return replace(problem, free=known), check, use, effects
 
 
 def _fit_base(
-    problem: Problem, free: tuple[str, ...], starts: int, progress: Tell, path: str
+    problem: Problem, free: tuple[str, ...], starts: int, progress: Progress, path: str
 ) -> tuple[Problem, np.ndarray, Problem, Point]:
     """Fit the declared model: where its pressures stood, and where all of it does.
 
@@ -97,7 +90,7 @@ def _fit_base(
         InputError: values of the rig file at `path` that have no finite answer.
     """
     values = problem.initial_values()
-    starts = max(starts, BLIND_STARTS) if problem.blind else starts
+    starts = max(starts, problem.criteria.blind_starts) if problem.blind else starts
     if starts > 1:
         progress(f"{starts} starts on every few windows")
         values = best_start(problem, values, free, starts)
@@ -113,8 +106,10 @@ def _fit_base(
     return problem, values, done, point
 
 
-def fit_case(case: Case, starts: int = 4, progress: Tell = lambda _: None) -> Tracing:
-    """Fit the declared model: where it stands, before anything is said of it.
+def fit_case(
+    case: Case, starts: int = 4, progress: Progress = lambda _: None
+) -> Tracing:
+    """Fit the declared model: the state before anything is concluded from it.
 
     Raises:
         InputError: no parameter of the rig file has a range.
@@ -126,16 +121,16 @@ def fit_case(case: Case, starts: int = 4, progress: Tell = lambda _: None) -> Tr
             'range, as in beta = { start = "8e8 Pa", range = ["1e8 Pa", "3e9 Pa"] }'
         )
     *_, problem, point = _fit_base(problem, free, starts, progress, case.spec.path)
-    return Tracing(problem, check, {}, free, point, 0.02, 0.01, progress)
+    return Tracing(problem, check, {}, free, point, progress)
 
 
 def identify(
     case: Case,
     starts: int = 4,
-    progress: Tell = lambda _: None,
+    progress: Progress = lambda _: None,
     profile: bool = False,
 ) -> Outcome:
-    """Fit the declared model, and say how well it does and can be believed.
+    """Fit the declared model; report its errors and the uncertainty of its parameters.
 
     With `profile`, intervals by profile likelihood too: many refits.
     """
@@ -149,9 +144,7 @@ def identify(
 def trace_case(
     case: Case,
     starts: int = 1,
-    matters: float = 0.02,
-    level: float = 0.01,
-    progress: Tell = lambda _: None,
+    progress: Progress = lambda _: None,
     profile: bool = False,
 ) -> Outcome:
     """The whole loop: fit, residual, the effect behind it, refit, before and after."""
@@ -177,8 +170,6 @@ def trace_case(
         effects,
         free,
         replace(point, values=values),
-        matters,
-        level,
         progress,
     )
     state = trace(start)
@@ -219,23 +210,28 @@ class _Compiling:
 
 def _settled(state: Tracing) -> tuple[Tracing, Uncertainty, tuple[str, ...]]:
     """The final fit, what the logs say of it, and a remark: symmetric in Coulomb
-    friction unless fit or check tell otherwise.
+    friction unless fit or check show otherwise.
 
     In sliding only `k_cp + k_0` and `k_cn - k_0` act: the three differ in the bristle's
-    turning alone, which a log may not resolve. Where the fit does not tell k_cp from
-    k_cn, and the check is as good without a difference, the simpler of the two
+    turning alone, which a log may not resolve. Where the fit does not separate k_cp
+    from k_cn, and the check is as good without a difference, the simpler of the two
     descriptions is taken.
     """
     noise = state.noise
-    belief = estimate_uncertainty(state.problem, state.point, state.free)
+    uncertainty = estimate_uncertainty(state.problem, state.point, state.free)
     if not {*COULOMB, "k_0"} <= set(state.free) or not np.isfinite(noise[2]):
-        return state, belief, ()
-    if set(COULOMB) <= set(belief.inside):
-        at = [belief.inside.index(n) for n in COULOMB]
+        return state, uncertainty, ()
+    if set(COULOMB) <= set(uncertainty.inside):
+        at = [uncertainty.inside.index(n) for n in COULOMB]
         difference = np.array([1.0, -1.0])
-        spread = np.sqrt(difference @ belief.covariance[np.ix_(at, at)] @ difference)
-        if abs(state.named["k_cp"] - state.named["k_cn"]) > TOLD * spread:
-            return state, belief, ()
+        spread = np.sqrt(
+            difference @ uncertainty.covariance[np.ix_(at, at)] @ difference
+        )
+        if (
+            abs(state.named["k_cp"] - state.named["k_cn"])
+            > state.criteria.asymmetry * spread
+        ):
+            return state, uncertainty, ()
     problem, point = fit_jointly(
         replace(state.problem, symmetric=True),
         state.point.values,
@@ -245,11 +241,11 @@ def _settled(state: Tracing) -> tuple[Tracing, Uncertainty, tuple[str, ...]]:
     own, tied = (
         state.check.rms(state.check.errors_at(p.values)) for p in (state.point, point)
     )
-    if np.any(tied > own + state.matters * np.maximum(noise, own)):
-        return state, belief, ()
+    if np.any(tied > own + state.criteria.matters * np.maximum(noise, own)):
+        return state, uncertainty, ()
     said = (
-        "k_cp, k_cn and k_0: these logs tell only k_cp + k_0 and k_cn - k_0; k_cp and "
-        "k_cn were taken as equal"
+        "k_cp, k_cn and k_0: these logs identify only k_cp + k_0 and "
+        "k_cn - k_0; k_cp and k_cn were taken as equal"
     )
     state = replace(state, problem=problem, point=point)
     return state, estimate_uncertainty(problem, point, state.free), (said,)
@@ -261,17 +257,17 @@ def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
         return ()
     added = tuple(a.name for a in state.added)
     log = case.check_logs[0]
-    done = check_loop(case.spec, log, state.named, added, case.fit.travel)
+    done = check_loop(case.spec, log, state.named, added, case.criteria)
     return (done,) if done else ()
 
 
 def _outcome(command, case, state, base, began, compiled, progress, profile) -> Outcome:
-    progress("errors, intervals and what is left")
-    state, belief, said = _settled(state)
+    progress("errors, intervals and residuals")
+    state, uncertainty, said = _settled(state)
     if profile:
-        found = profiles(state.problem, state.point, state.free, belief, progress)
-        belief = replace(belief, profiles=found)
-    outcome = summarise(command, case, state, base, belief)
+        found = profiles(state.problem, state.point, state.free, uncertainty, progress)
+        uncertainty = replace(uncertainty, profiles=found)
+    outcome = summarise(command, case, state, base, uncertainty)
     outcome = replace(outcome, limits=(*said, *outcome.limits))
     progress("the closed loop again")
     outcome = replace(
@@ -281,7 +277,6 @@ def _outcome(command, case, state, base, began, compiled, progress, profile) -> 
             case.spec,
             state.named,
             [a.name for a in state.added],
-            travel=case.fit.travel,
         ),
     )
     total = time.perf_counter() - began

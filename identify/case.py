@@ -15,10 +15,11 @@ from hydrojax.identify.preparation.data import Data, driver, prepare, runs_backw
 from hydrojax.identify.preparation.noise import channel_noise
 from hydrojax.identify.preparation.resolution import resolve
 from hydrojax.identify.preparation.segments import common_band
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import make_room
 from hydrojax.logs.log import Log, read_log
 from hydrojax.parameters import specs
-from hydrojax.rigfile.build import load_rig
+from hydrojax.rigfile.build import over_travel
 from hydrojax.rigfile.schema import RigFile
 
 
@@ -35,6 +36,7 @@ class Case:
     fit_logs: tuple[Log, ...]
     check_logs: tuple[Log, ...]
     held_out: bool
+    criteria: Criteria = Criteria()
 
 
 def open_case(
@@ -42,6 +44,7 @@ def open_case(
     logs: Sequence[str | Path],
     validate: Sequence[str | Path] = (),
     horizon: float = 0.25,
+    criteria: Criteria = Criteria(),
 ) -> Case:
     """Read a rig file and its logs.
 
@@ -55,7 +58,7 @@ def open_case(
             'jax.config.update("jax_enable_x64", True)'
         )
     make_room()
-    spec = load_rig(rig)
+    spec = RigFile.load(rig)
     if not logs:
         raise InputError(f"{rig}: no log to fit: name at least one")
     fitted = tuple(read_log(path, spec.channels) for path in logs)
@@ -82,17 +85,17 @@ def open_case(
             )
     every = (*fitted, *others)
     driven_by = driver(every, spec)
-    band = common_band(every, spec, driven_by)
+    band = common_band(every, spec, driven_by, criteria)
     noise = channel_noise(every, spec, driven_by)
 
     def ready(logs: Sequence[Log], noise: np.ndarray, sign: float = 1.0) -> Data:
-        return prepare(logs, spec, horizon, noise, sign, band)
+        return prepare(logs, spec, horizon, noise, sign, band, criteria)
 
     fit = ready(fitted, noise)
-    found = resolve(every, len(fitted), spec, fit, ready)
+    found = resolve(every, len(fitted), spec, fit, ready, criteria)
     fitted, others = found.logs[: len(fitted)], found.logs[len(fitted) :]
     fit, notes = found.fit, found.notes
-    sign = -1.0 if runs_backward(fit) else 1.0
+    sign = -1.0 if runs_backward(fit, criteria) else 1.0
     if sign < 0:
         fit = ready(fitted, fit.noise, sign)
         notes = (
@@ -101,7 +104,8 @@ def open_case(
             "rig's sign (P pushes toward positive v), so it was turned round; say so "
             "in the rig file with invert = true under [channels]",
         )
+    spec = over_travel(spec, fit.travel)
     check = ready(others, fit.noise, sign) if others else fit
     said = (*notes, *fit.notes, *check.notes)
     fit = replace(fit, notes=tuple(dict.fromkeys(said)))
-    return Case(spec, fit, check, fitted, others or fitted, bool(others))
+    return Case(spec, fit, check, fitted, others or fitted, bool(others), criteria)

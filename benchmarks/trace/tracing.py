@@ -98,7 +98,7 @@ def found(outcome: Any, truth: Mapping[str, Any]) -> Row:
             for n, p in outcome.parameters.items()
             if p.free and n in truth["rig"]
         },
-        "left": [u.says for u in outcome.unexplained],
+        "left": [u.description for u in outcome.unexplained],
     }
 
 

@@ -36,15 +36,17 @@ def identify(
     logs: Logs,
     validate: Annotated[
         list[Path] | None,
-        typer.Option(help="Logs that take no part in the fit: all words that follow."),
+        typer.Option(help="Logs that take no part in the fit."),
     ] = None,
     out: Out = Path("hydrojax-identify"),
     horizon: Horizon = 0.25,
-    starts: Annotated[int, typer.Option(help="Fits from so many starts.", min=1)] = 4,
+    starts: Annotated[
+        int, typer.Option(help="Number of starts of the fit.", min=1)
+    ] = 4,
     profile: Profile = False,
     effects: Effects = None,
 ) -> None:
-    """Fit the declared model to logs; say how well it does and can be believed."""
+    """Fit the declared model to logs; report errors and parameter uncertainties."""
     check_out(out)
     set_up_jax(user_cache())
     load_effects(effects)
@@ -63,11 +65,13 @@ def trace(
     logs: Logs,
     validate: Annotated[
         list[Path],
-        typer.Option(help="Logs that take no part in the fit: all words that follow."),
+        typer.Option(help="Logs that take no part in the fit."),
     ],
     out: Out = Path("hydrojax-trace"),
     horizon: Horizon = 0.25,
-    starts: Annotated[int, typer.Option(help="Fits from so many starts.", min=1)] = 1,
+    starts: Annotated[
+        int, typer.Option(help="Number of starts of the fit.", min=1)
+    ] = 1,
     matters: Matters = 0.02,
     level: Level = 0.01,
     profile: Profile = False,
@@ -104,15 +108,17 @@ def _trace(
     load_effects(effects)
     from hydrojax.identify import api
     from hydrojax.identify.case import open_case
+    from hydrojax.identify.tracing.criteria import Criteria
 
+    criteria = Criteria(matters=matters, level=level)
     with show_progress() as progress:
-        case = open_case(rig, logs, validate, horizon)
-        outcome = api.trace_case(case, starts, matters, level, progress, profile)
+        case = open_case(rig, logs, validate, horizon=horizon, criteria=criteria)
+        outcome = api.trace_case(case, starts, progress, profile)
     _finish(outcome, out)
 
 
 def _finish(outcome: Outcome, out: Path) -> None:
-    """Write the report and show the gist of it."""
+    """Write the report and print its summary."""
     from hydrojax.identify.report.write import write_report
     from hydrojax.report.text import quantity
 
@@ -133,7 +139,7 @@ def _finish(outcome: Outcome, out: Path) -> None:
             for n, p in effect.parameters.items()
         )
         alike = (
-            f"; cannot be told from {', '.join(effect.cannot_tell_from)}"
+            f"; not distinguishable from {', '.join(effect.cannot_tell_from)}"
             if effect.cannot_tell_from
             else ""
         )

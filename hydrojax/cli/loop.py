@@ -58,23 +58,19 @@ def simulate(
     load_effects(effects)
     import warnings
 
-    import equinox as eqx
     import numpy as np
 
     from hydrojax.control import simulation
     from hydrojax.rigfile import recording
-    from hydrojax.rigfile.build import load_rig, make_effects, make_rig
-    from hydrojax.rigfile.controller import make_loop
+    from hydrojax.rigfile.build import build_loop
+    from hydrojax.rigfile.schema import RigFile
 
     recording.check_kind(out)
-    spec = load_rig(rig)
+    spec = RigFile.load(rig)
     with show_progress() as progress:
         progress("run the closed loop")
-        loop = make_loop(spec, None, read_gains(gains or []))
+        loop = build_loop(spec, None, read_gains(gains or []))
         scenario = recording.read_scenario(spec, loop, reference, motion, seconds, seed)
-        x = scenario.environment.x
-        own = make_effects(spec.effects, spec, (float(x.min()), float(x.max())))
-        loop = eqx.tree_at(lambda lo: lo.rig, loop, make_rig(spec, own))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # said below, in one line
             run = simulation.simulate(loop, scenario)
@@ -132,10 +128,10 @@ def excite(
     from hydrojax.identify.design import Limits, design
     from hydrojax.report.text import quantity
     from hydrojax.rigfile import recording
-    from hydrojax.rigfile.build import load_rig
+    from hydrojax.rigfile.schema import RigFile
 
     recording.check_kind(out)
-    spec = load_rig(rig)
+    spec = RigFile.load(rig)
     both = [name for word in separate or [] for name in word.split(",")]
     if both and len(both) != 2:
         raise InputError(f"--separate {' '.join(both)}: name two effects")

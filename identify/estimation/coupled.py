@@ -14,19 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from hydrojax.identify.estimation.columns import Batch, Model
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.plant import rod
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.named import put
 from hydrojax.plant.rig import Rig
 
-ROUNDS = 10
-"""Most rounds until force and stretch agree."""
-
 HALVINGS = 40
 """Of the bracket that holds a tick's force."""
-
-AGREED = 0.05
-"""Share of the force's noise by which they may still differ, RMS."""
 
 
 def stretched(model: Model, values: np.ndarray) -> Rig | None:
@@ -43,6 +38,7 @@ def agreed(
     batch: Batch,
     left: np.ndarray,
     replayed: Callable[[Batch], np.ndarray],
+    criteria: Criteria,
 ) -> np.ndarray:
     """Measured less replayed, [W, T, 3], once force and stretch agree.
 
@@ -50,7 +46,8 @@ def agreed(
     """
     noise = float(np.asarray(batch.noise)[2])
     off, rounds = np.inf, 0
-    while np.isfinite(noise) and off > AGREED * noise and rounds < ROUNDS:
+    most, near = criteria.force_rounds, criteria.force_agrees * noise
+    while np.isfinite(noise) and off > near and rounds < most:
         batch, off = _followed(rig, batch, left)
         left, rounds = replayed(batch), rounds + 1
     return left

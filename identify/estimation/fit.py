@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.plant.named import gauge_names
 
 
 @dataclass(frozen=True)
@@ -25,14 +26,14 @@ def only(noise: np.ndarray, channels: np.ndarray) -> np.ndarray:
     return np.where(channels, noise, np.inf)
 
 
-def reweighted(noise: np.ndarray, rms: np.ndarray) -> np.ndarray:
-    """The noise, or the misfit of a channel that the model cannot follow.
+def reweighted(noise: np.ndarray, rms: np.ndarray, above: float) -> np.ndarray:
+    """The noise, or the misfit of a channel where it is `above` times the noise.
 
     Given the weight of its noise such a channel would bend the parameters of the
     others: force stands downstream of pressure, and an unknown force would be paid
     for with a wrong bulk modulus.
     """
-    return np.where(rms > 1.25 * noise, np.maximum(noise, rms), noise)
+    return np.where(rms > above * noise, np.maximum(noise, rms), noise)
 
 
 def fit(
@@ -54,15 +55,15 @@ def fit_force(
 ) -> tuple[Problem, Point]:
     """The second half of `fit`, from hydraulics that fit the pressures already."""
     noise = np.asarray(problem.batch.noise)
-    weights = noise
+    weights, above = noise, problem.criteria.reweighted_above
     mechanical = problem.side(free, False)
     if problem.sees_pressures and mechanical and np.isfinite(noise[2]):
         # Pressures that are off would be paid for by friction: weigh, then fit.
         _, out = problem.solve(values, (), noise)
-        weights = reweighted(noise, problem.rms(out.also.sse))
+        weights = reweighted(noise, problem.rms(out.also.sse), above)
         values, out = problem.solve(values, mechanical, weights)
         problem = problem.restarted(out.also, values)
-        weights = reweighted(noise, problem.rms(out.also.sse))
+        weights = reweighted(noise, problem.rms(out.also.sse), above)
     return fit_jointly(problem, values, free, weights)
 
 
@@ -70,17 +71,19 @@ def fit_jointly(
     problem: Problem, values: np.ndarray, free: Sequence[str], weights: np.ndarray
 ) -> tuple[Problem, Point]:
     """Fit everything free at once from nearby, each channel at its weight."""
-    noise = np.asarray(problem.batch.noise)
+    noise, own = np.asarray(problem.batch.noise), problem.criteria
     seen = np.isfinite(noise)
     before = np.inf
-    for left in reversed(range(8 if problem.blind else 3)):
+    rounds = own.blind_rounds if problem.blind else own.weight_rounds
+    for left in reversed(range(rounds)):
         values, out = problem.solve(values, free, weights)
         problem = problem.restarted(out.also, values)
         rms = problem.rms(out.also.sse)
-        earned = reweighted(noise, rms)
-        same = np.allclose(earned[seen], weights[seen], rtol=0.1)
+        earned = reweighted(noise, rms, own.reweighted_above)
+        same = np.allclose(earned[seen], weights[seen], rtol=own.weights_settled)
         # Without pressures to see, where the windows begin moves on with the fit.
-        if left == 0 or (same and not (problem.blind and rms[2] < 0.99 * before)):
+        moves = problem.blind and rms[2] < own.blind_progress * before
+        if left == 0 or (same and not moves):
             return problem, Point(values, weights, int(out.steps), bool(out.converged))
         weights, before = earned, rms[2]
     raise AssertionError("the last round returns")
@@ -91,11 +94,12 @@ def fit_pressures(
 ) -> tuple[Problem, np.ndarray]:
     """Fit the free parameters that the pressures see, on the pressures alone."""
     noise = only(np.asarray(problem.batch.noise), PRESSURES)
-    sensors = (n for n in problem.side(free, False) if n.startswith("pressure_sensor"))
-    names = (*problem.side(free, True), *sensors)
-    for _ in range(3):
+    gauges = gauge_names(problem.model.rig)
+    names = (*problem.side(free, True), *(n for n in free if n in gauges))
+    settled = problem.criteria.pressures_settled * np.min(noise)
+    for _ in range(problem.criteria.weight_rounds):
         values, out = problem.solve(values, names, noise)
         problem = problem.restarted(out.also, values)
-        if np.median(np.abs(out.also.start[:, :2, -1])) < 0.5 * np.min(noise):
+        if np.median(np.abs(out.also.start[:, :2, -1])) < settled:
             break
     return problem, values

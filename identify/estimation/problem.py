@@ -17,8 +17,10 @@ from hydrojax.identify.estimation.coupled import agreed, stretched
 from hydrojax.identify.estimation.misfit import Sums, leftover, sums
 from hydrojax.identify.estimation.solve import Fit, minimise
 from hydrojax.identify.preparation.data import Data
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import bucket
 from hydrojax.parameters import Spec
+from hydrojax.plant.named import gauge_names
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.schema import RigFile
 
@@ -28,14 +30,6 @@ holds them is taken, so that few programs serve every fit."""
 
 
 COULOMB = ("k_cp", "k_cn")
-
-
-BLIND = 6
-"""Corrections of the windows' initial pressures where none is measured."""
-
-
-TIED = 1e-3
-"""How closely (N) a symmetric fit holds k_cp and k_cn together."""
 
 
 PRESSURES = np.array([True, True, False])
@@ -190,7 +184,8 @@ class Problem:
     `declared` counts the free parameters of the rig file, hydraulic and other.
 
     `symmetric` holds k_cp and k_cn equal, for logs that do not tell a difference of
-    the two from an offset k_0. `known` is what other logs tell, in place of priors.
+    the two from an offset k_0. `known` is what other logs tell, in place of priors;
+    `criteria` the thresholds of whatever is decided on it.
     """
 
     model: Model
@@ -200,14 +195,28 @@ class Problem:
     simulate: bool
     symmetric: bool = False
     known: Known | None = None
+    criteria: Criteria = Criteria()
 
     @classmethod
-    def of(cls, rig: Rig, free: Mapping[str, Free], data: Data) -> Problem:
+    def of(
+        cls,
+        rig: Rig,
+        free: Mapping[str, Free],
+        data: Data,
+        criteria: Criteria = Criteria(),
+    ) -> Problem:
         """The problem of fitting `free` on prepared logs."""
         model = Model.of(rig)
         first = sum(model.names.index(n) < model.hydraulic for n in free)
         declared = (first, len(free) - first)
-        return cls(model, free, batch_of(data), declared, data.driven_by == "u")
+        return cls(
+            model,
+            free,
+            batch_of(data),
+            declared,
+            data.driven_by == "u",
+            criteria=criteria,
+        )
 
     def slots(self, free: Sequence[str]) -> tuple[int, int]:
         """Columns, hydraulic and other, of the program that fits these parameters."""
@@ -278,11 +287,12 @@ class Problem:
             value.append((at[i] - self.free[name].start) / known if known else 0.0)
         if self.known is not None:
             slope[:-1], value = self.known.rows(columns, at, scale)
+        tied = self.criteria.tied
         pair = [columns.index(n) for n in COULOMB if n in columns]
         difference = 0.0
         if self.symmetric and len(pair) == 2:
-            slope[-1, pair] = scale[pair[0]] / TIED, -scale[pair[1]] / TIED
-            difference = (at[pair[0]] - at[pair[1]]) / TIED
+            slope[-1, pair] = scale[pair[0]] / tied, -scale[pair[1]] / tied
+            difference = (at[pair[0]] - at[pair[1]]) / tied
         return jnp.asarray(slope), jnp.asarray([*value, difference])
 
     def sums_at(self, values: np.ndarray, noise: np.ndarray | None = None) -> Sums:
@@ -305,7 +315,9 @@ class Problem:
         rig = stretched(self.model, values)
         if rig is None:
             return left
-        return agreed(rig, batch, left, lambda b: self._left(values, b)[0])
+        return agreed(
+            rig, batch, left, lambda b: self._left(values, b)[0], self.criteria
+        )
 
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
@@ -328,7 +340,7 @@ class Problem:
 
         P_0 = best = np.asarray(self.batch.P_0)
         left, off = self._left(values, self.batch)
-        for _ in range(BLIND if self.blind else 1):
+        for _ in range(self.criteria.blind_corrections if self.blind else 1):
             P_0 = np.clip(P_0 - off, 0.0, highest) if self.blind else P_0 - off
             there, off = self._left(values, self.batch._replace(P_0=P_0))
             better = cost(there) <= cost(left)
@@ -392,10 +404,10 @@ class Problem:
 
 def in_play(problem: Problem, data: Data) -> tuple[str, ...]:
     """The free parameters that anything compared depends on."""
-    out = []
+    out, gauges = [], gauge_names(problem.model.rig)
     for name in problem.free:
         hydraulic = problem.model.names.index(name) < problem.model.hydraulic
         plays = data.driven_by == "u" if hydraulic else np.isfinite(data.noise[2])
-        if plays or (name.startswith("pressure_sensor") and data.driven_by == "u"):
+        if plays or (name in gauges and data.driven_by == "u"):
             out.append(name)
     return tuple(out)

@@ -11,11 +11,6 @@ import numpy as np
 from hydrojax.identify.estimation.columns import Batch, basis
 from hydrojax.identify.estimation.problem import Problem, filled, run_starts
 
-SPREAD = 0.3
-"""Starts are drawn within this share of a parameter's size, inside its range."""
-THIN = 32
-"""Windows on which the starts are tried."""
-
 
 def best_start(
     problem: Problem, values: np.ndarray, free: Sequence[str], count: int, seed: int = 0
@@ -31,7 +26,8 @@ def best_start(
     upper = np.array([problem.free[n].upper for n in free])
     at = values[index]
     size = np.maximum(np.abs(at), 0.1 * problem.model.scale[index])
-    draw = np.random.default_rng(seed).uniform(-SPREAD, SPREAD, (count, len(free)))
+    spread = problem.criteria.start_spread
+    draw = np.random.default_rng(seed).uniform(-spread, spread, (count, len(free)))
     draw[0] = 0.0
     starts = np.clip(at + size * draw, lower, upper)
     slots = (len(problem.side(free, True)), len(problem.side(free, False)))
@@ -49,7 +45,7 @@ def best_start(
         basis(problem.model, free, slots),
         coordinates(lower),
         coordinates(upper),
-        filled(thinned(problem.batch)),
+        filled(thinned(problem.batch, problem.criteria.start_windows)),
         problem.simulate,
     )
     cost = np.where(np.isfinite(out.cost), out.cost, np.inf)
@@ -61,10 +57,10 @@ def best_start(
     return moved
 
 
-def thinned(batch: Batch) -> Batch:
-    """A batch of at most `THIN` windows, spread evenly."""
+def thinned(batch: Batch, most: int) -> Batch:
+    """A batch of at most `most` windows, spread evenly."""
     count = batch.P_0.shape[0]
-    keep = np.unique(np.linspace(0, count - 1, min(THIN, count)).astype(int))
+    keep = np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))
     return batch._replace(
         windows=jax.tree.map(lambda a: a[keep], batch.windows),
         P_0=batch.P_0[keep],

@@ -1,4 +1,4 @@
-"""Profile likelihood: how far a parameter can go before the fit says no.
+"""Profile likelihood: how far a parameter can go until the fit is worse.
 
 A covariance knows the fit's curvature at its end alone. Here a parameter is held at
 places away from it and all others are fitted again, so that bent valleys, ranges and
@@ -16,21 +16,12 @@ from hydrojax.identify.estimation.fit import Point
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.inference.uncertainty import Interval, Uncertainty, curvature
 
-LEVEL = float(stats.chi2.isf(0.05, 1))
-"""Rise of chi-square at the ends of a 95 % interval, 3.84."""
-
-CLOSE = 0.03
-"""How closely, in displacement, an end is found."""
-
-MOST = 5
-"""Refits an end may take."""
-
 
 def profiles(
     problem: Problem,
     point: Point,
     free: Sequence[str],
-    belief: Uncertainty,
+    uncertainty: Uncertainty,
     progress: Callable[[str], None] = lambda _: None,
     walk: Sequence[str] = (),
 ) -> dict[str, Interval]:
@@ -44,7 +35,7 @@ def profiles(
         problem: of the logs that were fitted.
         point: the fit.
         free: the parameters that were fitted.
-        belief: of the same fit, for where to begin.
+        uncertainty: of the same fit, for where to begin.
         progress: called with a line of text at each stage.
         walk: the parameters whose intervals are wanted; all of `free` if none is named.
     """
@@ -52,18 +43,19 @@ def profiles(
     plain = np.sqrt(np.diag(np.linalg.pinv(H, rcond=1e-12, hermitian=True)))
     values, out = problem.solve(point.values, free, point.weights)
     best = 2 * float(out.cost)
+    level = float(stats.chi2.ppf(problem.criteria.confidence, 1))
     found: dict[str, Interval] = {}
     for name in walk or free:
         progress(f"profile of {name}")
         i = problem.model.names.index(name)
         f, scale = problem.free[name], problem.model.scale[i]
-        std = belief.std.get(name)
+        std = uncertainty.std.get(name)
         wider = 1.0
         if std is not None and name in inside:
             wider = max((std / (plain[inside.index(name)] * scale)) ** 2, 1e-6)
         step = 2 * std if std else 0.1 * scale
         ends = [
-            _end(problem, values, point, free, name, side * step, best, LEVEL * wider)
+            _end(problem, values, point, free, name, side * step, best, level * wider)
             for side in (-1.0, 1.0)
         ]
         found[name] = (
@@ -92,7 +84,7 @@ def _end(
     wall = f.lower if step < 0 else f.upper
     inner, outer = 0.0, wall - values[i]
     at = values
-    for _ in range(MOST):
+    for _ in range(problem.criteria.profile_refits):
         if abs(step) >= abs(outer):
             step = outer
         moved = at.copy()
@@ -100,7 +92,7 @@ def _end(
         moved, out = problem.solve(moved, rest, point.weights)
         rise = max(2 * float(out.cost) - best, 1e-12)
         aim = step * np.sqrt(level / rise)
-        if abs(aim / step - 1) < CLOSE:
+        if abs(aim / step - 1) < problem.criteria.profile_close:
             return float(values[i] + aim)
         if rise < level:
             if step == outer and outer == wall - values[i]:

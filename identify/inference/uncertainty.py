@@ -1,4 +1,4 @@
-"""How far a fit can be believed: covariance, ranges reached, what is not identified."""
+"""Uncertainty of a fit: covariance, limits reached, unidentifiable parameters."""
 
 from __future__ import annotations
 
@@ -9,33 +9,25 @@ import numpy as np
 
 from hydrojax.identify.estimation.fit import Point
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.tracing.criteria import Criteria
 
 Interval = tuple[float | None, float | None]
-
-VAGUE = 0.5
-"""A parameter is not identified when its standard deviation exceeds this share of its
-size, or of its scale where that is larger."""
-
-
-BLIND = 1e-10
-"""Eigenvalue of the scaled curvature below which a direction is not seen at all."""
-UNTOLD = 1e3
-"""Standard deviation, in units of the scales, given to such a direction."""
 
 
 @dataclass(frozen=True)
 class Uncertainty:
     """Standard deviations (SI) of the free parameters inside their range, and words.
 
-    `std` by name, None at an end of the range; `vague` names those not identified;
-    `limits` says in sentences what is at a range's end, and which combination of the
-    vague ones the logs do tell. `covariance` [n, n] is of the parameters `inside`, SI;
-    `profiles` the 95 % intervals by profile likelihood, where they were asked for.
+    `std` by name, None at an end of the range; `ends` names the parameters there;
+    `unidentifiable` those that the logs do not determine; `limits` says in sentences
+    what is at a range's end, and which combination of the unidentifiable ones the logs
+    do determine. `covariance` [n, n] is of the parameters `inside`, SI; `profiles` the
+    95 % intervals by profile likelihood, where they were asked for.
     """
 
     std: dict[str, float | None]
     ends: frozenset[str]
-    vague: tuple[str, ...]
+    unidentifiable: tuple[str, ...]
     limits: tuple[str, ...]
     inside: tuple[str, ...]
     covariance: np.ndarray
@@ -68,22 +60,22 @@ def estimate_uncertainty(
     scale = problem.model.scale[columns]
     covariance, H = _covariance(problem, gram, inside, columns)
     std: dict[str, float | None] = {name: None for name in free}
-    vague: list[str] = []
+    unidentifiable: list[str] = []
     for i, name in enumerate(inside):
         s = float(np.sqrt(max(covariance[i, i], 0.0))) * scale[i]
         std[name] = s
         size = max(abs(point.values[columns[i]]), 0.1 * scale[i])
-        if not np.isfinite(s) or s > VAGUE * size:
-            vague.append(name)
-        if s > 0.01 * UNTOLD * scale[i]:
+        if not np.isfinite(s) or s > problem.criteria.unidentifiable * size:
+            unidentifiable.append(name)
+        if s > 0.01 * problem.criteria.unseen_std * scale[i]:
             std[name] = None
     limits = [_at_end(name, end) for name, end in ends.items()]
-    if vague:
-        limits += _in_words(vague, inside, H)
+    if unidentifiable:
+        limits += _in_words(unidentifiable, inside, H, problem.criteria)
     return Uncertainty(
         std,
         frozenset(ends),
-        tuple(vague),
+        tuple(unidentifiable),
         tuple(limits),
         tuple(inside),
         covariance * np.outer(scale, scale),
@@ -110,44 +102,53 @@ def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]
             H[i, i] += (problem.model.scale[columns[i]] / prior) ** 2
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     values, vectors = np.linalg.eigh(H / np.outer(size, size))
-    told = values > BLIND
-    strong = (vectors[:, told] / values[told]) @ vectors[:, told].T
+    seen = values > problem.criteria.unseen_direction
+    strong = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
     strong /= np.outer(size, size)
     s = gram[:, columns, r]
     windows = int(np.count_nonzero(np.any(s != 0, axis=1)))
     few = windows / max(windows - len(columns), 1)
     # A direction that no residual sees has no scores either.
-    nothing = vectors[:, ~told] @ vectors[:, ~told].T * UNTOLD**2
+    unseen = vectors[:, ~seen]
+    nothing = unseen @ unseen.T * problem.criteria.unseen_std**2
     return strong @ (few * s.T @ s) @ strong + nothing, H
 
 
 def _at_end(name: str, end: str) -> str:
     return (
-        f"{name} ended at the {end} end of its range: the logs would rather have it "
-        "beyond; no standard deviation holds there"
+        f"{name} hit the {end} limit of its range; widen the range. No standard "
+        "deviation is given there"
     )
 
 
-def _in_words(vague: list[str], inside: list[str], H: np.ndarray) -> list[str]:
-    """Which parameters the logs do not tell, and with what they trade."""
+def _in_words(
+    unidentifiable: list[str], inside: list[str], H: np.ndarray, criteria: Criteria
+) -> list[str]:
+    """Which parameters the logs do not determine, and with which they trade."""
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     values, vectors = np.linalg.eigh(H / np.outer(size, size))
     out = []
-    for name in vague:
+    for name in unidentifiable:
         i = inside.index(name)
-        if size[i] < 1e-6 * size.max():
-            out.append(f"{name} is not identified: these logs hardly show it at all")
+        if size[i] < criteria.hardly_shown * size.max():
+            out.append(f"{name} is not identified: these logs hardly depend on it")
             continue
         weak = vectors[:, 0]
         partners: list[str] = [
-            inside[j] for j in np.argsort(-np.abs(weak))[:3] if abs(weak[j]) > 0.2
+            inside[j]
+            for j in np.argsort(-np.abs(weak))[:3]
+            if abs(weak[j]) > criteria.partner
         ]
         others = [p for p in partners if p != name]
-        if values[0] < 0.05 and others and abs(weak[i]) > 0.2:
+        singular = values[0] < criteria.nearly_singular
+        if singular and others and abs(weak[i]) > criteria.partner:
             out.append(
-                f"{name} is not identified by itself: the logs tell only a combination "
-                f"of it with {' and '.join(others)}"
+                f"{name} is not identified by itself: the logs determine only a "
+                f"combination of it with {' and '.join(others)}"
             )
         else:
-            out.append(f"{name} is not identified: its spread exceeds half its size")
+            out.append(
+                f"{name} is not identified: its standard deviation exceeds "
+                "half its size"
+            )
     return out

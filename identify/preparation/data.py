@@ -23,18 +23,10 @@ from hydrojax.identify.preparation.windows import (
     spread,
     starts_in,
 )
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.plant.replay import Motion, Windows
 from hydrojax.rigfile.schema import RigFile
-
-SLOWEST = 0.05
-"""s between rows up to which a command is replayed: a chamber settles in far less."""
-
-FEWEST = 20
-"""Rows that a stretch without gaps has to have more than."""
-
-MOST_TICKS = 80_000
-"""Ticks that a fit or a check takes in: more only cost time."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +67,7 @@ def prepare(
     noise: np.ndarray | None = None,
     sign: float = 1.0,
     band: float | None = None,
+    criteria: Criteria = Criteria(),
 ) -> Data:
     """Make logs ready for a replay of the rig.
 
@@ -85,6 +78,7 @@ def prepare(
         noise: [3] to be used, or None to take the rig file's or estimate it.
         sign: -1 turns the motion round.
         band: Hz up to which acceleration is taken; None to find it.
+        criteria: how much is read, and up to which band.
 
     Raises:
         InputError: no motion, nothing to predict, logs that differ in their signals,
@@ -95,7 +89,7 @@ def prepare(
     driven_by = driver(logs, spec)
     notes = [f"{log.name}: {note}" for log in logs for note in log.notes]
     if band is None:
-        band = common_band(logs, spec, driven_by)
+        band = common_band(logs, spec, driven_by, criteria)
     if np.isfinite(band):
         what = {"u": "it is", "P": "speed, acceleration and force are"}.get(
             driven_by, "speed and acceleration are"
@@ -108,23 +102,25 @@ def prepare(
         (i, slice(*own))
         for i, log in enumerate(logs)
         for own in log.segments
-        if own[1] - own[0] > FEWEST
+        if own[1] - own[0] > criteria.fewest_rows
     ]
     if not rows:
         raise InputError(
-            f"{logs[0].name}: no stretch without gaps has over {FEWEST} rows"
+            f"{logs[0].name}: no stretch without gaps has over "
+            f"{criteria.fewest_rows} rows"
         )
     h = float(np.median(np.concatenate([np.diff(logs[i].time[r]) for i, r in rows])))
-    if driven_by == "u" and h > SLOWEST:
+    if driven_by == "u" and h > criteria.slowest_tick:
         raise InputError(
             f"{logs[0].name}: a row every {h:.3g} s is too slow to replay what the "
-            f"valve does: log at {1 / SLOWEST:.0f} Hz or more, or take u out of the log"
+            f"valve does: log at {1 / criteria.slowest_tick:.0f} Hz or more, or "
+            "take u out of the log"
         )
     T = max(int(round(horizon / h)), 8)
     pre, lead = (PRE, LEAD) if driven_by == "u" else (1, min(LEAD, int(0.3 / h)))
     n = max(1, int(np.ceil(h / 1.5e-3))) if driven_by == "u" else 1
     starts = [starts_in(logs[i].time[r], T, pre, lead) for i, r in rows]
-    count, most = sum(map(len, starts)), max(MOST_TICKS // (lead + T), 1)
+    count, most = sum(map(len, starts)), max(criteria.most_ticks // (lead + T), 1)
     if count == 0:
         raise InputError(
             f"{logs[0].name}: no stretch without gaps is longer than "
@@ -173,7 +169,7 @@ def driver(logs: Sequence[Log], spec: RigFile) -> str:
                 "logs that are fitted together need the same signals"
             )
     pressures = set(spec.layout.pressures)
-    force = "F" in has or "F" in spec.load
+    force = "F" in has or "F" in spec.output_load
     name = logs[0].name
     if not spec.layout.has_valve:
         if "P" not in has:
@@ -204,7 +200,7 @@ def driver(logs: Sequence[Log], spec: RigFile) -> str:
     return driver
 
 
-def runs_backward(data: Data) -> bool:
+def runs_backward(data: Data, criteria: Criteria = Criteria()) -> bool:
     """Whether friction, as logged, drives the motion: x against the rig's sign.
 
     Where the pressures drive the replay, P - F is larger in positive motion than in
@@ -217,7 +213,7 @@ def runs_backward(data: Data) -> bool:
     v = np.asarray(w.v[:, lead:])
     drive = data.areas[1] * w.P_a2[:, lead:] - data.areas[0] * w.P_a1[:, lead:]
     loss = np.asarray(drive - w.measured[..., 2])
-    fast = np.abs(v) > 0.3 * np.std(v)
+    fast = np.abs(v) > criteria.backward_speed * np.std(v)
     falls = []
     for log in np.unique(data.log):
         own = data.log == log
@@ -225,4 +221,4 @@ def runs_backward(data: Data) -> bool:
         if up.all() or not up.any():
             return False
         falls.append(np.median(f[up]) - np.median(f[~up]))
-    return bool(np.all(np.array(falls) < -5 * data.noise[2]))
+    return bool(np.all(np.array(falls) < -criteria.backward * data.noise[2]))

@@ -8,24 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import interpolate, signal
 
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.rigfile.schema import RigFile
 
-FLAT = 1.5
-"""How much a spectrum's last fifth may fall below its middle and still be a floor."""
-
 CHANNELS = ("P_a1", "P_a2", "F")
 """What a replay can predict, in the order of `Windows.measured`."""
-
-
-QUIET = {"u": 0.1, "pressures": 0.005, "P": 0.001}
-"""Share of the acceleration that may be noise of the position, by what drives. Where
-u drives, only acceleration is taken in that band; where P does, force is compared in
-it, and elsewhere speed and acceleration are."""
-
-
-SLOWEST = 20.0
-"""Hz below which motion is always followed: friction turns round that fast."""
 
 
 def estimate_noise(y: np.ndarray) -> float:
@@ -41,7 +29,9 @@ def estimate_noise(y: np.ndarray) -> float:
     return float(max(np.median(np.abs(d)) / 0.6745, resolution / np.sqrt(12)))
 
 
-def motion_band(t: np.ndarray, x: np.ndarray, quiet: float) -> float | None:
+def motion_band(
+    t: np.ndarray, x: np.ndarray, quiet: float, criteria: Criteria = Criteria()
+) -> float | None:
     """Frequency (Hz) up to which acceleration can be had from a position, or None.
 
     The spectrum of a position falls until it meets the flat floor of its noise, which
@@ -55,12 +45,12 @@ def motion_band(t: np.ndarray, x: np.ndarray, quiet: float) -> float | None:
     floor = np.median(power[f > 0.7 * f[-1]])
     rise = (2 * np.pi * f) ** 4
     step = f[1]
-    clear = power > 10 * floor
+    clear = power > criteria.above_floor * floor
     size = np.sum((power * rise)[clear]) * step
     noise = np.cumsum(floor * rise) * step
     below = np.nonzero(noise <= quiet**2 * size)[0]
     cut = float(f[below[-1]]) if below.size else float(f[1])
-    cut = max(cut, SLOWEST)
+    cut = max(cut, criteria.lowest_band)
     return None if cut > 0.4 / h else cut
 
 
@@ -103,11 +93,12 @@ class SensorNoise:
 
 def sensor_noise_of(
     pieces: Iterable[tuple[np.ndarray, np.ndarray]],
+    criteria: Criteria = Criteria(),
 ) -> SensorNoise | None:
     """A signal's noise, the median over pieces (time, signal) of some rows; None where
     their spectra have no floor.
     """
-    found = [b for t, y in pieces if (b := _sensor_noise(t, y))]
+    found = [b for t, y in pieces if (b := _sensor_noise(t, y, criteria))]
     if not found:
         return None
     sigma = float(np.median([b.sigma for b in found]))
@@ -117,7 +108,9 @@ def sensor_noise_of(
     return SensorNoise(sigma, step, cut)
 
 
-def _sensor_noise(t: np.ndarray, y: np.ndarray) -> SensorNoise | None:
+def _sensor_noise(
+    t: np.ndarray, y: np.ndarray, criteria: Criteria
+) -> SensorNoise | None:
     if np.ptp(y) == 0:
         return None
     # Moved to even times along its own slope: interpolating would smooth the noise.
@@ -128,7 +121,8 @@ def _sensor_noise(t: np.ndarray, y: np.ndarray) -> SensorNoise | None:
     f, power = signal.welch(even, 1 / h, nperseg=size, detrend="linear")
     end = f[-1]
     floor = float(np.median(power[f > 0.8 * end]))
-    if floor <= 0 or np.median(power[(f > 0.4 * end) & (f < 0.6 * end)]) > FLAT * floor:
+    middle = np.median(power[(f > 0.4 * end) & (f < 0.6 * end)])
+    if floor <= 0 or middle > criteria.flat_floor * floor:
         return None
     sigma = np.sqrt(floor * end)
     # Least squares: what smoothing takes off the signal, and leaves of the noise.
@@ -153,7 +147,7 @@ def channel_noise(logs: Sequence[Log], spec: RigFile, driven_by: str) -> np.ndar
             continue
         if name != "F" and name not in logs[0].signals:
             continue
-        if name == "F" and "F" not in logs[0].signals and "F" not in spec.load:
+        if name == "F" and "F" not in logs[0].signals and "F" not in spec.output_load:
             continue
         if name in spec.sensors:
             out[c] = spec.sensors[name]

@@ -24,7 +24,7 @@ from hydrojax.identify.estimation.problem import (
     free_parameters,
     in_play,
 )
-from hydrojax.identify.preparation.data import FEWEST, Data
+from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.preparation.noise import (
     CHANNELS,
     SensorNoise,
@@ -32,18 +32,12 @@ from hydrojax.identify.preparation.noise import (
     level,
     sensor_noise_of,
 )
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.plant.rig import Rig
-from hydrojax.rigfile.build import make_effects, make_rig
+from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.recording import position
 from hydrojax.rigfile.schema import RigFile
-
-BENT = 4.0
-"""Times what the fitted rig says that the rig as the file has it may say."""
-
-COUNTS = 0.3
-"""Share of a channel's noise that what drives must bring to be dealt with."""
-
 
 Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -64,7 +58,12 @@ Ready = Callable[[Sequence[Log], np.ndarray], Data]
 
 
 def resolve(
-    logs: tuple[Log, ...], count: int, spec: RigFile, fit: Data, ready: Ready
+    logs: tuple[Log, ...],
+    count: int,
+    spec: RigFile,
+    fit: Data,
+    ready: Ready,
+    criteria: Criteria = Criteria(),
 ) -> Resolved:
     """Smooth what drives the logs where its noise shows in what is replayed.
 
@@ -78,36 +77,46 @@ def resolve(
         spec: the rig they were recorded on.
         fit: what the logs to fit gave as they are.
         ready: see `Ready`.
+        criteria: from which noise on it is dealt with.
     """
     found = None
     if fit.driven_by == "u":
-        found = _position(logs, count, spec, fit, ready)
+        found = _position(logs, count, spec, fit, ready, criteria)
     elif fit.driven_by == "pressures":
-        found = _drive(logs, spec)
+        found = _drive(logs, spec, criteria)
     if found is None:
         return Resolved(logs, fit)
     smoothed, noise, note = found
     return Resolved(smoothed, ready(smoothed[:count], noise), (note,))
 
 
-Calmed = tuple[tuple[Log, ...], np.ndarray, str]
+Smoothed = tuple[tuple[Log, ...], np.ndarray, str]
 """Logs with what drives smoothed, the channels' noise [3] with it, SI, and a remark."""
 
 
 def _position(
-    logs: tuple[Log, ...], count: int, spec: RigFile, fit: Data, ready: Ready
-) -> Calmed | None:
+    logs: tuple[Log, ...],
+    count: int,
+    spec: RigFile,
+    fit: Data,
+    ready: Ready,
+    criteria: Criteria,
+) -> Smoothed | None:
     """Smooth the position; None where its noise does not show."""
     noise = fit.noise
-    sensor_noise = sensor_noise_of(_stretches(logs, lambda log: position(log, spec)))
-    rig = make_rig(spec, make_effects(spec.effects, spec, fit.travel))
-    if sensor_noise is None or not _matters(sensor_noise, rig, fit):
+    sensor_noise = sensor_noise_of(
+        _stretches(logs, lambda log: position(log, spec), criteria), criteria
+    )
+    rig = build_rig(spec)
+    if sensor_noise is None or not _matters(sensor_noise, rig, fit, criteria):
         return None
-    smoothed = tuple(_moved(log, spec, sensor_noise.smoothed) for log in logs)
-    again = [_moved(log, spec, partial(_again, sensor_noise)) for log in smoothed]
+    smoothed = tuple(_moved(log, spec, sensor_noise.smoothed, criteria) for log in logs)
+    again = [
+        _moved(log, spec, partial(_again, sensor_noise), criteria) for log in smoothed
+    ]
 
     def problem_of(data: Data) -> Problem:
-        return Problem.of(rig, free_parameters(spec), data)
+        return Problem.of(rig, free_parameters(spec), data, criteria)
 
     one, other = ready(smoothed, noise), ready(again, noise)
 
@@ -116,7 +125,7 @@ def _position(
         return _largest(left[1] - left[0], one.log)
 
     # How far the position moves the channels depends on what the rig is: that of the
-    # file may be off, and one that is fitted without what it lacks may be bent.
+    # file may be off, and one fitted without what it lacks may be distorted.
     start = problem_of(one).initial_values()
     extra = brought(start)
     if not np.isfinite(extra[np.isfinite(noise)]).all():
@@ -126,7 +135,7 @@ def _position(
     _, point = fit_all(problem, start, in_play(problem, data))
     found = brought(point.values)
     found = np.where(np.isfinite(found), found, extra)
-    extra = np.clip(extra, found, BENT * found)
+    extra = np.clip(extra, found, criteria.distorted * found)
     moves = ", ".join(
         f"{name} by {size / per:.2g} {unit}"
         for name, size, per, unit in zip(
@@ -142,38 +151,48 @@ def _position(
     return smoothed, np.hypot(noise, extra), note
 
 
-def _drive(logs: tuple[Log, ...], spec: RigFile) -> Calmed | None:
+def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Smoothed | None:
     """Smooth pressures that drive; None where their noise does not show in F."""
     has = logs[0].signals
     own = spec.sensors.get("F", level(logs, "F") if "F" in has else 0.0)
     areas: dict[str, float] = dict(
         zip(("P_a1", "P_a2"), force_areas(spec), strict=True)
     )
-    blurs: dict[str, SensorNoise] = {}
+    noises: dict[str, SensorNoise] = {}
     for name in (n for n in areas if n in has and areas[n] > 0):
-        pieces = _stretches(logs, lambda log, name=name: log.signals[name])
-        if sensor_noise := sensor_noise_of(pieces):
-            blurs[name] = sensor_noise
-    if np.linalg.norm([areas[n] * b.sigma for n, b in blurs.items()]) <= COUNTS * own:
+        pieces = _stretches(logs, lambda log, name=name: log.signals[name], criteria)
+        if sensor_noise := sensor_noise_of(pieces, criteria):
+            noises[name] = sensor_noise
+    if (
+        np.linalg.norm([areas[n] * b.sigma for n, b in noises.items()])
+        <= criteria.sensor_counts * own
+    ):
         return None
-    silent = [n for n in areas if n in has and n not in blurs]
+    silent = [n for n in areas if n in has and n not in noises]
     square = own**2 + sum((areas[n] * level(logs, n)) ** 2 for n in silent)
-    for name, sensor_noise in blurs.items():
-        logs = tuple(_smoothed(log, name, sensor_noise.smoothed) for log in logs)
-        again = (_smoothed(log, name, partial(_again, sensor_noise)) for log in logs)
+    for name, sensor_noise in noises.items():
+        logs = tuple(
+            _smoothed(log, name, sensor_noise.smoothed, criteria) for log in logs
+        )
+        again = (
+            _smoothed(log, name, partial(_again, sensor_noise), criteria)
+            for log in logs
+        )
         off = [
             np.sqrt(np.mean((b - a) ** 2))
             for (_, a), (_, b) in zip(
-                _stretches(logs, lambda log, name=name: log.signals[name]),
-                _stretches(tuple(again), lambda log, name=name: log.signals[name]),
+                _stretches(logs, lambda log, name=name: log.signals[name], criteria),
+                _stretches(
+                    tuple(again), lambda log, name=name: log.signals[name], criteria
+                ),
                 strict=True,
             )
         ]
         square += (areas[name] * max(off)) ** 2
-    known = ", ".join(f"{n} by {b.sigma / 1e3:.2g} kPa" for n, b in blurs.items())
+    known = ", ".join(f"{n} by {b.sigma / 1e3:.2g} kPa" for n, b in noises.items())
     note = (
         f"the pressures drive, and are noisy ({known}): "
-        f"{_said(min(blurs.values(), key=lambda b: b.cut))} what is left moves F by "
+        f"{_said(min(noises.values(), key=lambda b: b.cut))} what is left moves F by "
         f"{np.sqrt(square - own**2):.2g} N RMS, which is counted into its noise"
     )
     return logs, np.array([np.inf, np.inf, np.sqrt(square)]), note
@@ -185,38 +204,42 @@ def _said(sensor_noise: SensorNoise) -> str:
     return f"smoothed above {sensor_noise.cut:.0f} Hz;"
 
 
-def _smoothed(log: Log, name: str, change: Change) -> Log:
+def _smoothed(log: Log, name: str, change: Change, criteria: Criteria) -> Log:
     """The log with one of its signals changed."""
-    values = _changed(log, log.signals[name], change)
+    values = _changed(log, log.signals[name], change, criteria)
     return replace(log, signals={**log.signals, name: values})
 
 
 def _stretches(
-    logs: Sequence[Log], values: Callable[[Log], np.ndarray]
+    logs: Sequence[Log], values: Callable[[Log], np.ndarray], criteria: Criteria
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Time and a signal in every stretch without gaps."""
     for log in logs:
         y = values(log)
         for start, stop in log.segments:
-            if stop - start > FEWEST:
+            if stop - start > criteria.fewest_rows:
                 yield log.time[start:stop], y[start:stop]
 
 
 def _again(sensor_noise: SensorNoise, t: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A calmed signal measured once more by such a sensor, and calmed again.
+    """A smoothed signal measured once more by such a sensor, and smoothed again.
 
     Beside it as it is, this shows what noise is left, and what smoothing takes off.
     """
     return sensor_noise.smoothed(t, sensor_noise.again(y))
 
 
-def _matters(sensor_noise: SensorNoise, rig: Rig, data: Data) -> bool:
+def _matters(
+    sensor_noise: SensorNoise, rig: Rig, data: Data, criteria: Criteria
+) -> bool:
     """Whether what the position brings once smoothed shows beside a channel's noise, by
     the rig's declared values.
     """
     h = float(np.median(data.motion.h))
     left = sensor_noise.sigma * np.sqrt(min(2 * sensor_noise.cut * h, 1.0))
-    return bool(np.any(left * answer(rig, batch_of(data)) > COUNTS * data.noise))
+    return bool(
+        np.any(left * answer(rig, batch_of(data)) > criteria.sensor_counts * data.noise)
+    )
 
 
 def _largest(change: np.ndarray, log: np.ndarray) -> np.ndarray:
@@ -225,20 +248,20 @@ def _largest(change: np.ndarray, log: np.ndarray) -> np.ndarray:
     return np.sqrt(np.max([square[log == i].mean(0) for i in np.unique(log)], axis=0))
 
 
-def _moved(log: Log, spec: RigFile, change: Change) -> Log:
+def _moved(log: Log, spec: RigFile, change: Change, criteria: Criteria) -> Log:
     """The log with its position changed, m."""
     key = "x" if "x" in log.signals else "psi"
     zero = spec.geometry.get("x_mid", 0.0) if key == "x" else 0.0
     radius = 1.0 if key == "x" else spec.geometry["radius"]
-    x = _changed(log, position(log, spec), change)
+    x = _changed(log, position(log, spec), change, criteria)
     return replace(log, signals={**log.signals, key: (x + zero) / radius})
 
 
-def _changed(log: Log, y: np.ndarray, change: Change) -> np.ndarray:
+def _changed(log: Log, y: np.ndarray, change: Change, criteria: Criteria) -> np.ndarray:
     """A log's signal changed in every stretch: `change(t, y)`."""
     y = y.copy()
     for start, stop in log.segments:
-        if stop - start > FEWEST:
+        if stop - start > criteria.fewest_rows:
             own = slice(start, stop)
             y[own] = change(log.time[own], y[own])
     return y

@@ -11,7 +11,8 @@ import numpy as np
 from scipy import interpolate
 from scipy.signal import savgol_filter
 
-from hydrojax.identify.preparation.noise import QUIET, motion_band, smooth
+from hydrojax.identify.preparation.noise import motion_band, smooth
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.rigfile.recording import position
 from hydrojax.rigfile.schema import RigFile
@@ -42,11 +43,19 @@ class Segment:
     smoothed: np.ndarray  # F for what it stretches
 
 
-def common_band(logs: Sequence[Log], spec: RigFile, driven_by: str) -> float:
+def common_band(
+    logs: Sequence[Log],
+    spec: RigFile,
+    driven_by: str,
+    criteria: Criteria = Criteria(),
+) -> float:
     """The narrowest of the logs' bands, Hz; inf if none is needed."""
     bands = [
         motion_band(
-            log.time[slice(*rows)], position(log, spec)[slice(*rows)], QUIET[driven_by]
+            log.time[slice(*rows)],
+            position(log, spec)[slice(*rows)],
+            criteria.band_noise[driven_by],
+            criteria,
         )
         for log in logs
         for rows in log.segments
@@ -70,7 +79,7 @@ def segment(
     t, x = log.time[rows], sign * position(log, spec)[rows]
     get = {k: v[rows] for k, v in log.signals.items()}
     zero = np.zeros(t.size)
-    F = get.get("F", zero + spec.load.get("F", np.nan))
+    F = get.get("F", zero + spec.output_load.get("F", np.nan))
     supply = {k: get.get(k, zero + v) for k, v in spec.line.items()}
     # Where u drives a log without pressures, they start midway: a first guess.
     middle = (supply["P_s"] + supply["P_r"]) / 2 if "u" in get else zero

@@ -83,7 +83,7 @@ def _log(s: Series, factors: dict[str, float], ways: list[str], room: float) -> 
     }  # fmt: skip
 
 
-def scope(outcome: Outcome) -> dict[str, Any] | None:
+def explorer_data(outcome: Outcome) -> dict[str, Any] | None:
     """What the page's script draws, for JSON; None if there is no residual.
 
     A line's values are whole numbers of 16 bits, little-endian, in base64, times its

@@ -19,7 +19,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from hydrojax.identify.tracing.judge import AT_NOISE
 from hydrojax.report.text import engineering, p_text, symbol, words
 
 if TYPE_CHECKING:
@@ -115,13 +114,14 @@ def error_figure(outcome: Outcome) -> Figure | None:
     ]
     if not rows:
         return None
+    at_noise = outcome.criteria.at_noise
     figure = sheet(0.95 + 0.5 * len(rows))
     ax = figure.subplots()
     ax.axvline(1.0, color="black", lw=1.0, zorder=1)
-    ax.axvline(AT_NOISE, color="black", lw=0.8, ls=DASHES, zorder=1)
+    ax.axvline(at_noise, color="black", lw=0.8, ls=DASHES, zorder=1)
     labels, colours = [], set()
     for y, (name, c, before, after) in enumerate(rows):
-        colour = AFTER if after <= AT_NOISE else ABOVE
+        colour = AFTER if after <= at_noise else ABOVE
         colours.add(colour)
         ax.plot([before, after], [y, y], color="#C4C4C4", lw=3, zorder=2)
         ax.plot(before, y, "o", ms=8, mfc="white", mec=BEFORE, mew=1.8, zorder=3)
@@ -147,7 +147,7 @@ def error_figure(outcome: Outcome) -> Figure | None:
             handles.append(Line2D([], [], **mark, **marks))
     handles += [
         Line2D([], [], color="black", lw=1, label="the noise"),
-        Line2D([], [], color="black", lw=0.8, ls="--", label=f"{AT_NOISE:g} × noise"),
+        Line2D([], [], color="black", lw=0.8, ls="--", label=f"{at_noise:g} × noise"),
     ]
     figure.legend(
         handles=handles, loc="outside upper center", ncols=len(handles), fontsize=8

@@ -182,8 +182,8 @@ def improved(effect: Effect, outcome: Outcome) -> list[str]:
     return [c for c, f in fall.items() if f > 0 and f >= 0.1 * most]
 
 
-def betrayals(outcome: Outcome) -> list[tuple[str, str, str]]:
-    """What `betrayal_figure` draws: (effect or "unexplained", channel, signal)."""
+def dependences(outcome: Outcome) -> list[tuple[str, str, str]]:
+    """What `dependence_figure` draws: (effect or "unexplained", channel, signal)."""
     asked = [
         (words(e.name), c, e.residual_axis)
         for e in outcome.effects
@@ -235,9 +235,9 @@ def binned(
 
 
 @styled
-def betrayal_figure(outcome: Outcome) -> Figure | None:
-    """Residual against the signal that betrays an effect, or that it still follows."""
-    panels = betrayals(outcome)
+def dependence_figure(outcome: Outcome) -> Figure | None:
+    """Residual against the signal of each effect, or with which it correlates."""
+    panels = dependences(outcome)
     if not panels:
         return None
     columns = min(len(panels), 2 if len(panels) in (2, 4) else 3)
@@ -247,7 +247,7 @@ def betrayal_figure(outcome: Outcome) -> Figure | None:
     for ax in axes[len(panels) :]:
         ax.remove()
     for ax, panel in zip(axes, panels, strict=False):
-        _betrayal(ax, outcome, *panel)
+        _dependence(ax, outcome, *panel)
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=BEFORE, marker="o", ms=4, label="before, mean"),
         Line2D([], [], color=AFTER, marker="o", ms=4, label="after, mean"),
@@ -264,7 +264,9 @@ def betrayal_figure(outcome: Outcome) -> Figure | None:
     return figure
 
 
-def _betrayal(ax: Axes, outcome: Outcome, cause: str, channel: str, name: str) -> None:
+def _dependence(
+    ax: Axes, outcome: Outcome, cause: str, channel: str, name: str
+) -> None:
     x, before, after, way = _pooled(outcome, channel, name)
     c = outcome.channels[channel]
     unit = signal_unit(name, command_unit(outcome))

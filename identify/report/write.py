@@ -10,8 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from hydrojax.identify.report import figures, residuals
-from hydrojax.identify.report.explorer import scope
-from hydrojax.identify.results.outcome import Effect, LoopCheck, Outcome, Parameter
+from hydrojax.identify.report.explorer import explorer_data
+from hydrojax.identify.results.outcome import (
+    Effect,
+    LoopCheck,
+    Outcome,
+    Parameter,
+    Unexplained,
+)
 from hydrojax.identify.results.show import (
     PICTURES,
     change,
@@ -22,7 +28,6 @@ from hydrojax.identify.results.show import (
     standing,
     times_noise,
 )
-from hydrojax.identify.tracing.judge import AT_NOISE
 from hydrojax.report.files import write_all
 from hydrojax.report.page import Picture
 from hydrojax.report.page import page as make_page
@@ -45,7 +50,7 @@ def json_of(outcome: Outcome) -> dict[str, Any]:
         "channels": {n: asdict(c) for n, c in o.channels.items()},
         "effects": [_effect(e) for e in o.effects],
         "candidates": [asdict(c) for c in o.candidates],
-        "unexplained": [asdict(u) for u in o.unexplained],
+        "unexplained": [_unexplained(u) for u in o.unexplained],
         "closed_loop": [_loop(c) for c in o.loops],
         "covariance": asdict(o.covariance) if o.covariance else None,
         "limits": o.limits,
@@ -65,7 +70,7 @@ def _parameter(p: Parameter) -> dict[str, Any]:
         "at_bound": p.at_bound,
         "identified": p.identified,
         "held": not p.free,
-        "says": p.says,
+        "says": p.description,
         **({"profile": p.profile} if p.profile else {}),
     }
 
@@ -82,6 +87,11 @@ def _effect(e: Effect) -> dict[str, Any]:
         "cannot_tell_from": e.cannot_tell_from,
         "betrayed_by": e.residual_axis,
     }
+
+
+def _unexplained(u: Unexplained) -> dict[str, Any]:
+    own = asdict(u)
+    return own | {"says": own.pop("description")}
 
 
 def _loop(c: LoopCheck) -> dict[str, Any]:
@@ -117,7 +127,7 @@ def _described(name: str, outcome: Outcome) -> tuple[str, str]:
     """Alternative text and caption of a figure."""
     return {
         "error": _error_said,
-        "betrayal": _betrayal_said,
+        "dependence": _dependence_said,
         "residual": _residual_said,
         "loop": _loop_said,
         "ranking": _ranking_said,
@@ -129,23 +139,24 @@ def _error_said(outcome: Outcome) -> tuple[str, str]:
     rows = [
         f"{n} {times_noise(c.before, c.noise)} to {times_noise(c.after, c.noise)}"
         for n, c in outcome.channels.items()
-        if standing(c) != "not compared"
+        if standing(c, outcome.criteria.at_noise) != "not compared"
     ]
     return (
         f"Error before and after: {', '.join(rows)}.",
         "RMS error of each channel on the validation logs, before and after, in "
-        f"multiples of its noise. Up to {AT_NOISE:g} a channel is at its noise.",
+        f"multiples of its noise. Up to {outcome.criteria.at_noise:g} a channel is "
+        "at its noise.",
     )
 
 
-def _betrayal_said(outcome: Outcome) -> tuple[str, str]:
-    rows = [f"{c} against {s} ({e})" for e, c, s in residuals.betrayals(outcome)]
+def _dependence_said(outcome: Outcome) -> tuple[str, str]:
+    rows = [f"{c} against {s} ({e})" for e, c, s in residuals.dependences(outcome)]
     return (
         f"Residual before and after: {', '.join(rows)}.",
-        "Residual against the quantity that betrays each effect, or that the rest "
-        "follows: mean and standard deviation in equal parts of the quantity, with "
-        "some of the samples behind. Where the force is shown, each sense of motion "
-        "has its own mean.",
+        "Residual against the quantity in which each effect shows, or with which "
+        "the rest correlates: mean and standard deviation in equal parts of the "
+        "quantity, with some of the samples behind. Where the force is shown, each "
+        "sense of motion has its own mean.",
     )
 
 
@@ -206,8 +217,8 @@ def page(outcome: Outcome, shown: Sequence[Picture]) -> str:
         o=outcome,
         pictures={p.name: p for p in shown},
         ranking=figures.ranking(outcome),
-        at_noise=AT_NOISE,
-        scope=scope(outcome),
+        at_noise=outcome.criteria.at_noise,
+        explorer=explorer_data(outcome),
     )
 
 

@@ -1,4 +1,4 @@
-"""What is left above the noise, in words: in which channel, and what it follows."""
+"""The residual above the noise in words: its channel, and what it correlates with."""
 
 from __future__ import annotations
 
@@ -8,15 +8,7 @@ import numpy as np
 from scipy import signal
 
 from hydrojax.identify.results.outcome import Dependence, Unexplained
-
-BINS = 16
-"""Quantiles of a signal between which the residual's mean is compared."""
-FOLLOWS = 0.08
-"""Share of the residual's square that a signal's bins must hold to be named."""
-SHUFFLES = 99
-"""Exchanges of a signal's windows that say what chance would show."""
-LINE = 12.0
-"""Height of a spectral line above the median of the spectrum to be named."""
+from hydrojax.identify.tracing.criteria import Criteria
 
 
 def unexplained(
@@ -26,6 +18,7 @@ def unexplained(
     residual: np.ndarray,
     signals: Mapping[str, np.ndarray],
     tick: float,
+    criteria: Criteria = Criteria(),
 ) -> Unexplained:
     """Describe the residual [W, T] (SI) of a channel that stays above its noise.
 
@@ -34,30 +27,36 @@ def unexplained(
     """
     excess = float(np.sqrt(max(np.mean(residual**2) - noise**2, 0.0)))
     size = f"{channel} stays {_size(excess, unit)} RMS above its noise"
-    found = [Dependence(n, *dependence(residual, s)) for n, s in signals.items()]
+    found = [
+        Dependence(n, *dependence(residual, s, criteria)) for n, s in signals.items()
+    ]
     tests = tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
     line, height = spectral_line(residual, tick)
-    clear = max((d for d in tests if d.share > FOLLOWS), key=_share, default=None)
+    clear = max(
+        (d for d in tests if d.share > criteria.correlates), key=_share, default=None
+    )
     if clear:
         follows = clear.signal
-        says = (
-            f"{size}; {100 * clear.share:.0f} % of what is left goes with {follows} "
-            f"(p {clear.p_value:.2g}), more than with any other signal of the log"
+        description = (
+            f"{size}; {100 * clear.share:.0f} % of the residual variance correlates "
+            f"with {follows} (p {clear.p_value:.2g}), more than with any other signal "
+            "of the log"
         )
-    elif height > LINE:
+    elif height > criteria.line:
         follows = "frequency"
-        says = f"{size}; it stands out as a line near {line:.3g} Hz"
+        description = f"{size}; it stands out as a line near {line:.3g} Hz"
     else:
-        follows, where = _swells(residual, noise, signals)
-        says = (
-            f"{size}; its sign goes with none of the log's signals, but it is larger "
-            f"where {follows} is {where}"
+        follows, where = _swells(residual, noise, signals, criteria)
+        description = (
+            f"{size}; its sign correlates with none of the log's signals, but it is "
+            f"larger where {follows} is {where}"
             if where
-            else f"{size}; it goes with none of the log's signals and has no line"
+            else f"{size}; it correlates with none of the log's signals and has no "
+            "spectral line"
         )
     return Unexplained(
-        channel, excess, unit, follows, says, tests,
-        line if height > LINE else None, advice(channel, follows),
+        channel, excess, unit, follows, description, tests,
+        line if height > criteria.line else None, advice(channel, follows),
     )  # fmt: skip
 
 
@@ -66,14 +65,19 @@ def _share(d: Dependence) -> float:
 
 
 def _swells(
-    residual: np.ndarray, noise: float, signals: Mapping[str, np.ndarray]
+    residual: np.ndarray,
+    noise: float,
+    signals: Mapping[str, np.ndarray],
+    criteria: Criteria,
 ) -> tuple[str, str]:
-    """The signal with whose size that of the residual goes, and which way."""
+    """The signal with whose size that of the residual correlates, and which way."""
     loud = np.log(residual**2 + (0.1 * noise) ** 2)
     loud = loud - loud.mean()
-    swell = {name: dependence(loud, np.abs(s))[0] for name, s in signals.items()}
+    swell = {
+        name: dependence(loud, np.abs(s), criteria)[0] for name, s in signals.items()
+    }
     best = max(swell, key=lambda n: swell[n], default="")
-    if not best or swell[best] <= FOLLOWS:
+    if not best or swell[best] <= criteria.correlates:
         return "none", ""
     high = np.abs(signals[best]) > np.median(np.abs(signals[best]))
     return best, "large" if loud[high].mean() > loud[~high].mean() else "small"
@@ -105,15 +109,17 @@ def advice(channel: str, follows: str) -> str:
     return ADVICE.get(follows, (_FAST, _FAST))[channel != "F"]
 
 
-def dependence(residual: np.ndarray, s: np.ndarray) -> tuple[float, float]:
+def dependence(
+    residual: np.ndarray, s: np.ndarray, criteria: Criteria = Criteria()
+) -> tuple[float, float]:
     """Share of the residual's square held by its means between quantiles of `s`.
 
     Both [W, T]. The share is less what the same sum holds by chance, when the signal's
     windows are exchanged among each other; beside it the p-value that these exchanges
-    give, at least 1 / (SHUFFLES + 1).
+    give, at least 1 / (`criteria.shuffles` + 1).
     """
     residual = residual - residual.mean()
-    edges = np.unique(np.quantile(s, np.linspace(0, 1, BINS + 1)[1:-1]))
+    edges = np.unique(np.quantile(s, np.linspace(0, 1, criteria.quantiles + 1)[1:-1]))
     if edges.size < 2:
         return 0.0, 1.0
     index = np.searchsorted(edges, s)
@@ -124,10 +130,12 @@ def dependence(residual: np.ndarray, s: np.ndarray) -> tuple[float, float]:
         return np.sum(total**2 / count[: total.size])
 
     draw = np.random.default_rng(0)
-    chance = [held(index[draw.permutation(len(index))]) for _ in range(SHUFFLES)]
+    chance = [
+        held(index[draw.permutation(len(index))]) for _ in range(criteria.shuffles)
+    ]
     own = held(index)
     share = max((own - np.mean(chance)) / max(np.sum(residual**2), 1e-300), 0.0)
-    p = (1 + np.sum(np.array(chance) >= own)) / (SHUFFLES + 1)
+    p = (1 + np.sum(np.array(chance) >= own)) / (criteria.shuffles + 1)
     return float(share), float(p)
 
 

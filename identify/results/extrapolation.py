@@ -9,14 +9,10 @@ import numpy as np
 
 from hydrojax.identify.estimation.problem import Known
 from hydrojax.identify.inference.uncertainty import curvature
-from hydrojax.identify.tracing.judge import AT_NOISE
 from hydrojax.identify.tracing.state import Tracing
 
-NEEDED = 0.1
-"""Share of what a parameter's move has to give back of the check's fall to be named."""
 
-
-def extrapolation(state: Tracing, vague: Sequence[str]) -> tuple[str, ...]:
+def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> tuple[str, ...]:
     """Parameters that the fitted logs leave open and the check needs.
 
     A fit to the check's logs, held by what the fitted logs tell of every parameter. The
@@ -25,8 +21,9 @@ def extrapolation(state: Tracing, vague: Sequence[str]) -> tuple[str, ...]:
 
     Args:
         state: where a run ended.
-        vague: those that the fitted logs do not tell; they are named first.
+        unidentifiable: those that the fitted logs do not tell; they are named first.
     """
+    own = state.criteria
     noise, free, index = state.noise, state.free, _index(state)
     fitted, check, start = state.problem, state.check, state.point.values
 
@@ -34,7 +31,7 @@ def extrapolation(state: Tracing, vague: Sequence[str]) -> tuple[str, ...]:
         """Each channel's error over its noise."""
         return problem.rms(problem.errors_at(values)) / noise
 
-    if np.any(off(fitted, start) > AT_NOISE):
+    if np.any(off(fitted, start) > own.at_noise):
         return ()
     known = Known(free, start[index], curvature(fitted, state.point, free)[0])
     both = replace(fitted, batch=check.batch, known=known, symmetric=False)
@@ -42,7 +39,9 @@ def extrapolation(state: Tracing, vague: Sequence[str]) -> tuple[str, ...]:
     for _ in range(2):
         values, out = both.solve(values, free, noise)
         both = both.restarted(out.also, values)
-    if np.any(off(fitted, values) > AT_NOISE) or np.any(off(check, values) > AT_NOISE):
+    if np.any(off(fitted, values) > own.at_noise) or np.any(
+        off(check, values) > own.at_noise
+    ):
         return ()
 
     def cost(at) -> float:
@@ -55,8 +54,8 @@ def extrapolation(state: Tracing, vague: Sequence[str]) -> tuple[str, ...]:
         without = values.copy()
         without[i] = start[i]
         rise[name] = (cost(without) - least) / fall
-    named = sorted((n for n in free if rise[n] > NEEDED), key=lambda n: -rise[n])
-    return tuple(n for n in named if n in vague) or tuple(named)
+    named = sorted((n for n in free if rise[n] > own.needed), key=lambda n: -rise[n])
+    return tuple(n for n in named if n in unidentifiable) or tuple(named)
 
 
 def _index(state: Tracing) -> np.ndarray:

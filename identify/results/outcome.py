@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hydrojax.identify.tracing.criteria import Criteria
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -22,7 +24,7 @@ class Parameter:
 
     value: float
     unit: str
-    says: str
+    description: str
     start: float
     free: bool
     std: float | None = None
@@ -71,8 +73,8 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Dependence:
-    """Whether what is left goes with a signal: the share of its square, and the chance
-    that signal and residual of unrelated windows would share as much.
+    """How far the residual correlates with a signal: the share of its variance, and
+    the chance that signal and residual of unrelated windows would share as much.
     """
 
     signal: str
@@ -92,7 +94,7 @@ class Unexplained:
     excess: float
     unit: str
     follows: str
-    says: str
+    description: str
     tests: tuple[Dependence, ...] = ()
     line: float | None = None
     next: str = ""
@@ -149,7 +151,8 @@ class Outcome:
 
     `verdict` is "nothing missing", "explained" or "unknown"; `sentence` says it.
     `limits` are sentences on what is at a range's end or not identified. `rig_file` is
-    the rig file with the identified values and the effects found.
+    the rig file with the identified values and the effects found; `criteria` are the
+    thresholds that decided.
     """
 
     command: str
@@ -170,6 +173,7 @@ class Outcome:
     loops: tuple[LoopCheck, ...] = ()
     covariance: Covariance | None = None
     rig_file: str = ""
+    criteria: Criteria = Criteria()
 
     def plot(self, picture: str | None = None) -> Figure:
         """The most telling picture, or one of those of the report by its name.

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from hydrojax.errors import InputError
 from hydrojax.identify.report import figures, residuals
-from hydrojax.identify.tracing.judge import AT_NOISE
 from hydrojax.report import markup
 from hydrojax.report.text import p_text, quantity, words
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 PICTURES = {
     "error": figures,
-    "betrayal": residuals,
+    "dependence": residuals,
     "residual": residuals,
     "loop": residuals,
     "ranking": figures,
@@ -27,7 +26,7 @@ PICTURES = {
 }
 """In the order of the page, with the module of `<name>_figure`, `report_<name>.png`."""
 
-TELLING = ("betrayal", "residual", "error", "parameter", "ranking", "loop")
+TELLING = ("dependence", "residual", "error", "parameter", "ranking", "loop")
 """The pictures, the most telling first."""
 
 
@@ -59,11 +58,11 @@ def times_noise(value: float, noise: float) -> str:
     return f"{ratio:.2f} × noise" if ratio < 100 else f"{ratio:.0f} × noise"
 
 
-def standing(c: Channel) -> str:
+def standing(c: Channel, at_noise: float) -> str:
     """Where a channel's error stands, in words."""
     if not math.isfinite(c.after) or not 0 < c.noise < math.inf:
         return "not compared"
-    return "at its noise" if c.after <= AT_NOISE * c.noise else "above its noise"
+    return "at its noise" if c.after <= at_noise * c.noise else "above its noise"
 
 
 def share(value: float) -> str:
@@ -109,7 +108,7 @@ def html(outcome: Outcome) -> str:
     ]  # fmt: skip
     channels = [
         (name, *(quantity(v, c.unit, figures=3) for v in (c.noise, c.before, c.after)),
-         times_noise(c.after, c.noise), standing(c))
+         times_noise(c.after, c.noise), standing(c, outcome.criteria.at_noise))
         for name, c in outcome.channels.items()
     ]  # fmt: skip
     found = [

@@ -23,7 +23,6 @@ from hydrojax.identify.results.outcome import (
     Series,
     Unexplained,
 )
-from hydrojax.identify.tracing.judge import AT_NOISE
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.state import Tracing
@@ -39,10 +38,10 @@ UNITS = ("Pa", "Pa", "N")
 
 
 def summarise(
-    command: str, case: Case, state: Tracing, base: Point, belief: Uncertainty
+    command: str, case: Case, state: Tracing, base: Point, uncertainty: Uncertainty
 ) -> Outcome:
-    """All that was found, from the state a run ended in, its base fit, and how far it
-    is to be believed.
+    """All that was found, from the state a run ended in, its base fit, and the
+    uncertainty of its parameters.
     """
     seen = [c for c in range(3) if np.isfinite(state.noise[c])]
     declared = state.check.initial_values() if command == "identify" else base.values
@@ -62,14 +61,24 @@ def summarise(
     tick = float(np.median(case.check.windows.h))
     left = tuple(
         describe.unexplained(
-            name, ch.unit, ch.noise, after[..., CHANNELS.index(name)], signals, tick
+            name,
+            ch.unit,
+            ch.noise,
+            after[..., CHANNELS.index(name)],
+            signals,
+            tick,
+            state.criteria,
         )
         for name, ch in channels.items()
-        if ch.after > AT_NOISE * ch.noise
+        if ch.after > state.criteria.at_noise * ch.noise
     )
     verdict = "unknown" if left else "explained" if state.added else "nothing missing"
-    needed = extrapolation(state, belief.vague) if left and case.held_out else ()
-    effects = _effects(case, state, belief, (errors[0], errors[1]))
+    needed = (
+        extrapolation(state, uncertainty.unidentifiable)
+        if left and case.held_out
+        else ()
+    )
+    effects = _effects(case, state, uncertainty, (errors[0], errors[1]))
     return Outcome(
         command=command,
         rig=case.spec.name,
@@ -77,15 +86,16 @@ def summarise(
         validate_logs=tuple(log.name for log in case.check_logs),
         verdict=verdict,
         sentence=_sentence(command, verdict, effects, left, case.held_out, needed),
-        parameters=_parameters(case, state, belief),
+        parameters=_parameters(case, state, uncertainty),
         channels=channels,
         effects=effects,
         candidates=_candidates(state),
         unexplained=left,
-        limits=(*belief.limits, *_undecided(effects)),
+        limits=(*uncertainty.limits, *_undecided(effects)),
         notes=_notes(case),
         series=_series(case, before, after, signals, seen),
-        covariance=Covariance(belief.inside, belief.covariance),
+        covariance=Covariance(uncertainty.inside, uncertainty.covariance),
+        criteria=state.criteria,
     )
 
 
@@ -107,7 +117,7 @@ def _notes(case: Case) -> tuple[str, ...]:
         notes.append("the noise of every channel was estimated from the logs")
     ignored = sorted({c for log in case.fit_logs for c in log.ignored})
     if ignored:
-        notes.append(f"columns left alone: {', '.join(ignored)}")
+        notes.append(f"columns not used: {', '.join(ignored)}")
     logs = (*case.fit_logs, *case.check_logs)
     for key, value in SUPPLY.items():
         known = key in case.spec.supply or all(key in log.signals for log in logs)
@@ -124,16 +134,16 @@ def _shown(spec: Spec, command: str) -> str:
 
 
 def _one(
-    name: str, case: Case, state: Tracing, belief: Uncertainty, spec: Spec
+    name: str, case: Case, state: Tracing, uncertainty: Uncertainty, spec: Spec
 ) -> tuple[str, Parameter]:
     """A parameter as reports show it: by its outside name where it has one."""
     value = float(state.point.values[state.problem.model.names.index(name)])
     free = name in state.free
     known = state.problem.free.get(name)
     start = known.start if known else value
-    std = belief.std.get(name)
+    std = uncertainty.std.get(name)
     interval = None if std is None else (value - 1.96 * std, value + 1.96 * std)
-    at_bound = free and name in belief.ends
+    at_bound = free and name in uncertainty.ends
     unit = _shown(spec, case.spec.command_unit)
     shown = name.rsplit(".", 1)[-1]
     if spec.outside:
@@ -146,7 +156,7 @@ def _one(
             std, interval = std / value**2, (min(ends), max(ends))
         value = 1 / value if value else float("inf")
         start = 1 / start if start else float("inf")
-    profile = belief.profiles.get(name)
+    profile = uncertainty.profiles.get(name)
     if profile and spec.outside:
         profile = (1 / profile[1] if profile[1] else None,
                    1 / profile[0] if profile[0] else None)  # fmt: skip
@@ -154,19 +164,19 @@ def _one(
         interval = (max(interval[0], known.lower), min(interval[1], known.upper))
     return shown, Parameter(
         value, unit, spec.description, start, free, std, interval, at_bound,
-        free and not at_bound and name not in belief.vague, profile,
+        free and not at_bound and name not in uncertainty.unidentifiable, profile,
     )  # fmt: skip
 
 
 def _parameters(
-    case: Case, state: Tracing, belief: Uncertainty
+    case: Case, state: Tracing, uncertainty: Uncertainty
 ) -> dict[str, Parameter]:
     """Base parameters and those of effects that the rig file declares."""
     out = {}
     for name, spec in parameter_specs(state.problem.model.rig).items():
         effect = name.split(".")[0] if "." in name else None
         if effect is None or effect in case.spec.effects:
-            shown, p = _one(name, case, state, belief, spec)
+            shown, p = _one(name, case, state, uncertainty, spec)
             out[f"{effect}.{shown}" if effect else shown] = p
     return out
 
@@ -174,7 +184,7 @@ def _parameters(
 def _effects(
     case: Case,
     state: Tracing,
-    belief: Uncertainty,
+    uncertainty: Uncertainty,
     errors: tuple[np.ndarray, np.ndarray],
 ) -> tuple[Effect, ...]:
     spec = parameter_specs(state.problem.model.rig)
@@ -188,7 +198,9 @@ def _effects(
         out.append(
             Effect(
                 name=added.name,
-                parameters=dict(_one(n, case, state, belief, spec[n]) for n in own),
+                parameters=dict(
+                    _one(n, case, state, uncertainty, spec[n]) for n in own
+                ),
                 p_value=added.p_value,
                 before={CHANNELS[c]: float(ends[i][c]) for c in seen},
                 after={CHANNELS[c]: float(ends[i + 1][c]) for c in seen},
@@ -209,7 +221,7 @@ WHY = {
 
 
 def _candidates(state: Tracing) -> tuple[Candidate, ...]:
-    p = family(state.scores)
+    p = family(state.scores, state.criteria)
     first = {a.name: a for a in state.added}
     out = []
     for name, s in state.scores.items():
@@ -257,7 +269,7 @@ def _sentence(
         )
     channels = " and ".join(u.channel for u in left)
     start = f"{names} was found and added, but " if names else ""
-    rest = "; ".join(u.says for u in left)
+    rest = "; ".join(u.description for u in left)
     if needed:
         return (
             f"{start}{channels} cannot be judged: the validation logs depend on "
@@ -267,11 +279,11 @@ def _sentence(
         )
     if command == "identify":
         return f"The declared model does not explain {channels}: {rest}. Try trace."
-    return f"{start}no effect known here explains what is left in {channels}: {rest}."
+    return f"{start}no known effect explains the residual of {channels}: {rest}."
 
 
 def _signals(data: Data, scored: int, radius: float | None) -> dict[str, np.ndarray]:
-    """Quantities a residual may go with, [W, T] each, at the compared ticks; SI."""
+    """Signals a residual may correlate with, [W, T] each, at the compared ticks; SI."""
     w = data.windows
     lead = w.x.shape[1] - scored
 

@@ -8,15 +8,8 @@ from scipy import stats
 from hydrojax.identify.estimation.fit import Point
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.state import Tracing
-from hydrojax.parameters import Effect, specs
-
-AT_NOISE = 1.1
-"""A channel is at its noise when its error is within this factor of it."""
-SHARE = 0.2
-"""An effect that leaves a channel above its noise is named only if it took at least
-this share of the channel's excess (in squares): less is bending, not explaining."""
-BEYOND_CHANCE = 3.0
-"""Standard errors by which the validation error must fall."""
+from hydrojax.parameters import specs
+from hydrojax.plant.effect import Effect
 
 
 def judge(
@@ -28,20 +21,21 @@ def judge(
     of its noise, and either bring that channel to its noise or take a fair share of
     what stood above it; the latter in the force only where the pressures are explained.
     """
+    own = state.criteria
     seen = np.isfinite(noise)
     sigma = noise[seen]
     a, b = state.check.rms(after)[seen], state.check.rms(before)[seen]
-    sure = _falls(before[:, seen], after[:, seen]) > BEYOND_CHANCE
-    helps = sure & (b - a > state.matters * sigma)
+    sure = _falls(before[:, seen], after[:, seen]) > own.beyond_chance
+    helps = sure & (b - a > own.matters * sigma)
     if not helps.any():
         return "too small" if sure.any() else "does not help"
     share = (b**2 - a**2) / np.maximum(b**2 - sigma**2, 1e-300)
-    fair = (a <= AT_NOISE * sigma) | (share > SHARE)
+    fair = (a <= own.at_noise * sigma) | (share > own.fair_share)
     upstream = seen & PRESSURES
-    if np.any((state.check.rms(after) > AT_NOISE * noise) & upstream):
+    if np.any((state.check.rms(after) > own.at_noise * noise) & upstream):
         # What the pressures lack runs on into the force: there only an effect that
         # explains all of it counts, or one that the pressures want themselves.
-        fair &= (a <= AT_NOISE * sigma) | PRESSURES[seen]
+        fair &= (a <= own.at_noise * sigma) | PRESSURES[seen]
     if not np.any(helps & fair):
         return "explains too little"
     return "helps"
@@ -88,8 +82,8 @@ def cost(sse: np.ndarray, noise: np.ndarray) -> float:
     return float(np.sum(sse[:, seen] / noise[seen] ** 2))
 
 
-def worse(a: np.ndarray, b: np.ndarray, noise: np.ndarray) -> bool:
-    """Whether errors `a` are larger than `b` beyond chance, paired by window."""
+def worse(a: np.ndarray, b: np.ndarray, noise: np.ndarray, by: float) -> bool:
+    """Whether errors `a` exceed `b` by `by` standard errors, paired by window."""
     seen = np.isfinite(noise)
     d = np.sum((a - b)[:, seen] / noise[seen] ** 2, axis=1)
-    return bool(d.mean() > 2.0 * d.std(ddof=1) / np.sqrt(len(d)))
+    return bool(d.mean() > by * d.std(ddof=1) / np.sqrt(len(d)))

@@ -9,21 +9,14 @@ import numpy as np
 
 from hydrojax.identify.estimation.fit import Point, fit_force, fit_jointly, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.judge import chance, cost, judge, negligible, worse
 from hydrojax.identify.tracing.refit import refit
 from hydrojax.identify.tracing.score import Score, family
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
 from hydrojax.identify.tracing.state import Added, Tracing, free_names, strengths
-from hydrojax.parameters import Effect
-from hydrojax.plant.rig import HYDRAULIC
-
-PROMISING = 0.02
-"""Share of chi-square from which a candidate is refitted whatever its score's p-value:
-under a second missing effect the windows' scores scatter, and the test is weak."""
-TRIES = 4
-"""Candidates that are refitted in a round, and as many more as score nearly as high."""
-ROUNDS = 4
-"""Effects that a stage may add."""
+from hydrojax.plant.effect import Effect
+from hydrojax.plant.places import place_of
 
 
 def trace(state: Tracing) -> Tracing:
@@ -35,9 +28,7 @@ def trace(state: Tracing) -> Tracing:
     """
     if state.problem.sees_pressures:
         upstream = {
-            n: e
-            for n, e in state.effects.items()
-            if e.place in HYDRAULIC or e.place == "sensor_P"
+            n: e for n, e in state.effects.items() if place_of(e).shows_in_pressures
         }
         state = _stage(state, upstream, only(state.noise, PRESSURES))
     if np.isfinite(state.noise[2]):
@@ -62,7 +53,7 @@ def _without_needless(state: Tracing) -> Tracing:
             state.check.rms(state.check.errors_at(p.values))
             for p in (state.point, point)
         )
-        if np.all(less <= own + state.matters * state.noise):
+        if np.all(less <= own + state.criteria.matters * state.noise):
             state.progress(f"let go of {name}")
             state = replace(
                 state,
@@ -76,7 +67,7 @@ def _without_needless(state: Tracing) -> Tracing:
 
 
 def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
-    for _ in range(ROUNDS):
+    for _ in range(state.criteria.rounds):
         known = {a.name for a in state.added}
         rest = {n: e for n, e in effects.items() if n not in known}
         scores = scores_of(state, rest, noise)
@@ -95,18 +86,19 @@ def _round(
     noise: np.ndarray,
 ) -> Tracing:
     """Refit the best few candidates and add the one that helps most, if one does."""
-    p = family(scores)
-    least = 0.5 * size_that_matters(state, noise)
+    criteria = state.criteria
+    p = family(scores, criteria)
+    least = criteria.smallest_gain * size_that_matters(state, noise)
     worth = [
         s
         for s in sorted(scores.values(), key=lambda s: -s.gain)
-        if s.gain > least and (p[s.name] < state.level or s.share > PROMISING)
+        if s.gain > least and _worth(p[s.name], s, criteria)
     ]
     before = state.check.errors_at(state.point.values)
     tried = dict(state.tried)
     helped: list[tuple[float, str, Problem, Point, np.ndarray]] = []
     for i, s in enumerate(worth):
-        if i >= TRIES and s.gain < 0.9 * worth[0].gain:
+        if i >= criteria.tries and s.gain < criteria.near_best * worth[0].gain:
             break
         state.progress(f"refit with {s.name}")
         problem, point = refit(state, effects[s.name], s, noise)
@@ -122,7 +114,11 @@ def _round(
     helped.sort(key=lambda h: h[0])
     _, name, problem, point, after = helped[0]
     p_value = min(p[name], len(scores) * chance(before, after, noise))
-    alike = tuple(n for _, n, _, _, a in helped[1:] if not worse(a, after, noise))
+    alike = tuple(
+        n
+        for _, n, _, _, a in helped[1:]
+        if not worse(a, after, noise, criteria.worse_by)
+    )
     rms = state.check.rms
     state.progress(f"added {name}")
     return replace(
@@ -134,6 +130,11 @@ def _round(
     )
 
 
+def _worth(p_value: float, s: Score, criteria: Criteria) -> bool:
+    """Whether a candidate's score is significant, or large whatever its p-value."""
+    return p_value < criteria.level or s.share > criteria.promising
+
+
 def status(state: Tracing, name: str, p_value: float) -> str:
     """`added`, `rejected`, `absent` or `cannot tell`; by its family-wise p-value."""
     if any(a.name == name for a in state.added):
@@ -143,6 +144,6 @@ def status(state: Tracing, name: str, p_value: float) -> str:
     s = state.scores.get(name)
     if s is None:
         return "cannot tell"
-    if p_value < state.level:
+    if p_value < state.criteria.level:
         return "rejected"
-    return "absent" if s.power >= 0.8 else "cannot tell"
+    return "absent" if s.power >= state.criteria.power else "cannot tell"

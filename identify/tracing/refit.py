@@ -9,11 +9,11 @@ import numpy as np
 
 from hydrojax.identify.estimation.fit import Point, fit_jointly, fit_pressures
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.tracing.judge import AT_NOISE, cost
+from hydrojax.identify.tracing.judge import cost
 from hydrojax.identify.tracing.score import Score
 from hydrojax.identify.tracing.screen import nonlocal_starts, scores_of
 from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengths
-from hydrojax.parameters import Effect
+from hydrojax.plant.effect import Effect
 
 FRICTION = ("velocity", "level", "friction")
 """Places of effects that friction's own parameters stand in for."""
@@ -22,10 +22,10 @@ FRICTION = ("velocity", "level", "friction")
 def refit(
     state: Tracing, effect: Effect, s: Score, noise: np.ndarray
 ) -> tuple[Problem, Point]:
-    """Fit again with the effect free, from half the step that its score foresees; and,
-    as long as that leaves something, from where else it may lie.
+    """Fit again with the effect free, from part of the step that its score foresees;
+    and, as long as that leaves something, from where else it may lie.
     """
-    problem = state.problem
+    problem, at_noise = state.problem, state.criteria.at_noise
     free = (*state.free, *free_names(effect))
     seen = np.isfinite(noise)
 
@@ -37,9 +37,10 @@ def refit(
             done, point = fit_jointly(problem, values, free, state.point.weights)
         return done, point, done.errors_at(point.values)
 
-    best = one(_stepped(problem, state.point.values, effect, s))
+    part = state.criteria.first_step
+    best = one(_stepped(problem, state.point.values, effect, s, part))
     starts = _elsewhere(state, effect, s, noise)
-    while np.any((problem.rms(best[2]) > AT_NOISE * noise)[seen]):
+    while np.any((problem.rms(best[2]) > at_noise * noise)[seen]):
         start = next(starts, None)
         if start is None:
             break
@@ -63,16 +64,16 @@ def _elsewhere(
         # What the score foresees from there is another step, often of another sign.
         there = replace(state, point=replace(state.point, values=back))
         other = scores_of(there, {effect.name: effect}, noise)[effect.name]
-        yield _stepped(problem, back, effect, other)
+        yield _stepped(problem, back, effect, other, state.criteria.first_step)
 
 
 def _stepped(
-    problem: Problem, values: np.ndarray, effect: Effect, s: Score
+    problem: Problem, values: np.ndarray, effect: Effect, s: Score, part: float
 ) -> np.ndarray:
-    """The values with half the step of an effect's score, at the shape scored."""
+    """The values with a part of the step of an effect's score, at the shape scored."""
     names = problem.model.names
     steps = {
-        n: 0.5 * step * problem.model.scale[names.index(n)]
+        n: part * step * problem.model.scale[names.index(n)]
         for n, step in zip(strengths(effect), s.step, strict=True)
     }
     return placed(problem, values, {**steps, **s.shape})

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
+from hydrojax.identify.tracing.criteria import Criteria
+
 
 @dataclass(frozen=True)
 class Score:
@@ -125,25 +127,23 @@ def _power(H, spread, reach, matters, level) -> float:
     return float(stats.ncx2.sf(threshold, len(H), noncentral))
 
 
-DRAWS = 2000
-"""Draws of the simulated maximum."""
-
-
-def family(scores: Mapping[str, Score]) -> dict[str, float]:
+def family(
+    scores: Mapping[str, Score], criteria: Criteria = Criteria()
+) -> dict[str, float]:
     """Family-wise p-values of several candidates, by the maximum statistic.
 
     Candidates look alike, so the smallest of their p-values is not that of so many
     independent tests. Its distribution is simulated: each draw turns the sign of every
     window's scores at random, all candidates' together (a wild bootstrap with windows
     as clusters). Beyond what the draws resolve, as many independent tests are taken as
-    the lowest hundredth of the draws stands for.
+    the lowest draws (`criteria.tail`) stand for.
     """
     tested = {n: s for n, s in scores.items() if s.by_window.size and s.p_value < 1.0}
     if not tested:
         return dict.fromkeys(scores, 1.0)
-    least = np.ones(DRAWS)
+    least = np.ones(criteria.draws)
     windows = len(next(iter(tested.values())).by_window)
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (DRAWS, windows))
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (criteria.draws, windows))
     for s in tested.values():
         # The effect itself is taken out: the draws are of chance alone.
         own = s.by_window - s.by_window.mean(axis=0)
@@ -151,12 +151,14 @@ def family(scores: Mapping[str, Score]) -> dict[str, float]:
         drawn = signs @ own
         chi2 = np.sum(drawn * np.linalg.solve(spread, drawn.T).T, axis=1)
         least = np.minimum(least, stats.chi2.sf(chi2, own.shape[1]))
-    tail = min(max(float(np.quantile(least, 0.01)), 1e-300), 1 - 1e-16)
-    tests = np.log1p(-0.01) / np.log1p(-tail)
+    tail = min(max(float(np.quantile(least, criteria.tail)), 1e-300), 1 - 1e-16)
+    tests = np.log1p(-criteria.tail) / np.log1p(-tail)
     out = dict.fromkeys(scores, 1.0)
     for name, s in tested.items():
         p = s.p_value
         counted = float(np.mean(least <= p))
         beyond = float(-np.expm1(tests * np.log1p(-min(p, 1 - 1e-16))))
-        out[name] = max(counted, p) if counted > 0.02 else max(beyond, p)
+        out[name] = (
+            max(counted, p) if counted > criteria.counted_above else max(beyond, p)
+        )
     return out

@@ -11,7 +11,8 @@ import numpy as np
 
 from hydrojax.identify.tracing.score import Projection, Score, score
 from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengths
-from hydrojax.parameters import Effect, specs
+from hydrojax.parameters import specs
+from hydrojax.plant.effect import Effect
 
 
 def size_that_matters(state: Tracing, noise: np.ndarray) -> float:
@@ -21,7 +22,7 @@ def size_that_matters(state: Tracing, noise: np.ndarray) -> float:
     """
     windows, ticks, _ = state.problem.batch.windows.measured.shape
     seen = np.isfinite(noise)
-    grown = 1 + state.matters * noise[seen] / state.point.weights[seen]
+    grown = 1 + state.criteria.matters * noise[seen] / state.point.weights[seen]
     return float(np.min(grown**2 - 1)) * windows * ticks
 
 
@@ -63,7 +64,7 @@ def scores_of(
                     if s.strength
                 ]
             )
-            s = score(projection, name, columns, ends, matters, state.level)
+            s = score(projection, name, columns, ends, matters, state.criteria.level)
             if name not in best or s.gain > best[name].gain:
                 best[name] = replace(s, shape=shapes.get(name, {}))
     for name, strength, value in _nonlocal_grid(state, effects, noise):
@@ -90,7 +91,7 @@ def _nonlocal_grid(
     ]
     seen = np.isfinite(noise)
     sse = state.problem.errors_at(state.point.values) if places else np.zeros((1, 3))
-    above = state.problem.rms(sse) > (1 + state.matters) * noise
+    above = state.problem.rms(sse) > (1 + state.criteria.matters) * noise
     return places if np.any(above & seen) else []
 
 

@@ -9,8 +9,10 @@ import numpy as np
 
 from hydrojax.identify.estimation.fit import Point
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Score
-from hydrojax.parameters import Effect, specs
+from hydrojax.parameters import specs
+from hydrojax.plant.effect import Effect
 
 
 @dataclass(frozen=True)
@@ -39,12 +41,15 @@ class Tracing:
     effects: Mapping[str, Effect]
     free: tuple[str, ...]
     point: Point
-    matters: float
-    level: float
     progress: Callable[[str], None]
     added: tuple[Added, ...] = ()
     scores: Mapping[str, Score] = field(default_factory=dict)
     tried: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def criteria(self) -> Criteria:
+        """The thresholds by which it is decided."""
+        return self.problem.criteria
 
     @property
     def noise(self) -> np.ndarray:

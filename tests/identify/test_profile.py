@@ -6,13 +6,18 @@ from scipy import optimize, stats
 
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
-from hydrojax.identify.inference.profile import LEVEL, _end, profiles
+from hydrojax.identify.inference.profile import _end, profiles
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
+from hydrojax.identify.tracing.criteria import Criteria
 from tests import generator
+
+LEVEL = float(stats.chi2.isf(0.05, 1))
 
 
 class Valley:
     """Stands in for a `Problem`: chi-square of two parameters, one of them bent."""
+
+    criteria = Criteria()
 
     class model:
         names = ("a", "b")
@@ -59,6 +64,8 @@ def test_a_range_that_ends_first_is_the_end():
 class Mean:
     """Stands in for a `Problem`: the mean of readings whose noise is known."""
 
+    criteria = Criteria()
+
     class model:
         names = ("a",)
         scale = np.array([1.0])
@@ -85,8 +92,10 @@ def test_the_interval_of_a_mean_is_that_of_95_percent(wider):
     y, sigma = np.random.default_rng(4).normal(3.0, 0.5, 25), 0.5
     std, at = wider * sigma / 5, np.array([y.mean()])
     point = type("Point", (), {"values": at, "weights": None})
-    belief = Uncertainty({"a": std}, frozenset(), (), (), ("a",), np.array([[std**2]]))
-    found = profiles(Mean(y, sigma), point, ("a",), belief)
+    uncertainty = Uncertainty(
+        {"a": std}, frozenset(), (), (), ("a",), np.array([[std**2]])
+    )
+    found = profiles(Mean(y, sigma), point, ("a",), uncertainty)
     want = stats.norm.interval(0.95, y.mean(), std)
     np.testing.assert_allclose(found["a"], want, rtol=1e-9)
 
@@ -99,14 +108,14 @@ def test_a_log_gives_intervals_like_its_covariance(tmp_path):
     logs = [tmp_path / "fit_1.csv", tmp_path / "fit_2.csv"]
     state = api.fit_case(open_case(tmp_path / "rig.toml", logs), 1)
     few = ("beta", "c_p1", "k_cp", "k_fp")
-    belief = estimate_uncertainty(state.problem, state.point, state.free)
+    uncertainty = estimate_uncertainty(state.problem, state.point, state.free)
     # Only these are walked; the others follow all the same.
-    found = profiles(state.problem, state.point, state.free, belief, walk=few)
+    found = profiles(state.problem, state.point, state.free, uncertainty, walk=few)
     truth = json.loads((tmp_path / "truth.json").read_text())["rig"]
     held = 0
     for name in few:
         low, high = found[name]
-        std = belief.std[name]
+        std = uncertainty.std[name]
         assert (high - low) / (2 * 1.96 * std) == pytest.approx(1.0, abs=0.35)
         held += low < truth[name] < high
     assert held >= 3

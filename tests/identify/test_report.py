@@ -33,18 +33,20 @@ CHOKED = "m^3/(s*V*Pa^0.5)"
 def parameter(value: float, unit: str, std: float | None = None, **more) -> Parameter:
     """A free parameter that was found with `std`, or a held one without."""
     interval = None if std is None else (value - 1.96 * std, value + 1.96 * std)
-    given = {"says": "what it is", "start": 1.1 * value, "free": std is not None}
+    given = {"description": "what it is", "start": 1.1 * value, "free": std is not None}
     return Parameter(value, unit, std=std, interval=interval, **(given | more))
 
 
 PARAMETERS = {
-    "beta": parameter(8.576e8, "Pa", 1.23e6, says="bulk modulus"),
-    "c_p1": parameter(2.3014e-9, CHOKED, 1.2e-11, says="supply to chamber 1"),
-    "k_cp": parameter(412.3, "N", 3.1, says="Coulomb level, v > 0"),
-    "k_vp": parameter(1534.0, "N*s/m", 210.0, at_bound=True, says="fall with speed"),
-    "k_0": parameter(-0.4, "N", 38.0, identified=False, says="constant offset"),
-    "z_ss": parameter(60e-6, "m", says="bristle deflection when sliding"),
-    "L_slope": parameter(300.0, "s/m", says="slope of the switch"),
+    "beta": parameter(8.576e8, "Pa", 1.23e6, description="bulk modulus"),
+    "c_p1": parameter(2.3014e-9, CHOKED, 1.2e-11, description="supply to chamber 1"),
+    "k_cp": parameter(412.3, "N", 3.1, description="Coulomb level, v > 0"),
+    "k_vp": parameter(
+        1534.0, "N*s/m", 210.0, at_bound=True, description="fall with speed"
+    ),
+    "k_0": parameter(-0.4, "N", 38.0, identified=False, description="constant offset"),
+    "z_ss": parameter(60e-6, "m", description="bristle deflection when sliding"),
+    "L_slope": parameter(300.0, "s/m", description="slope of the switch"),
 }
 
 
@@ -100,7 +102,7 @@ def explained() -> Outcome:
     """A leakage and a friction were found and all channels are at their noise."""
     leak = Effect(
         "internal_leakage",
-        {"c_il": parameter(1.03e-12, "m^3/(s*Pa)", 1.4e-14, says="leakage")},
+        {"c_il": parameter(1.03e-12, "m^3/(s*Pa)", 1.4e-14, description="leakage")},
         0.0,
         {"P_a1": 41e3, "P_a2": 43e3, "F": 2.52},
         {"P_a1": 9.3e3, "P_a2": 9.2e3, "F": 2.52},
@@ -109,7 +111,7 @@ def explained() -> Outcome:
     )
     friction = Effect(
         "position_friction",
-        {"a_1": parameter(0.21, "1", 0.004, says="1st wave")},
+        {"a_1": parameter(0.21, "1", 0.004, description="1st wave")},
         3.2e-41,
         {"P_a1": 9.3e3, "P_a2": 9.2e3, "F": 31.0},
         {"P_a1": 9.3e3, "P_a2": 9.2e3, "F": 2.6},
@@ -377,7 +379,7 @@ def test_nothing_is_left_when_the_disk_fails(tmp_path, monkeypatch):
 
 
 AXES = {
-    # error, residual, betrayal, ranking, parameter
+    # error, residual, dependence, ranking, parameter
     "explained": (1, 6, 3, 1, 1),
     "nothing_missing": (1, 1, None, 1, 1),
     "unknown": (1, 2, 1, 1, 1),
@@ -389,7 +391,7 @@ AXES = {
 def test_figures_have_a_panel_for_each_thing(name):
     outcome = OUTCOMES[name]()
     for picture, wanted in zip(
-        ("error", "residual", "betrayal", "ranking", "parameter"),
+        ("error", "residual", "dependence", "ranking", "parameter"),
         AXES[name],
         strict=True,
     ):
@@ -420,10 +422,10 @@ def test_series_of_nothing_but_gaps_and_missing_signals():
     for array in (empty.t, *empty.before.values(), *empty.signals.values()):
         array[:] = np.nan
     outcome = replace(explained(), series=(replace(empty, signals={}), empty))
-    assert residuals.betrayal_figure(outcome) is None
+    assert residuals.dependence_figure(outcome) is None
     assert residuals.residual_figure(outcome) is None
     time = replace(explained().effects[0], residual_axis="t")
-    drifting = residuals.betrayal_figure(replace(explained(), effects=(time,)))
+    drifting = residuals.dependence_figure(replace(explained(), effects=(time,)))
     assert drifting is not None and len(drifting.axes) == 2
 
 
@@ -446,7 +448,7 @@ def unpacked(line):
 
 def test_the_page_holds_a_short_log_sample_by_sample():
     s = explained().series[0]
-    data = explorer.scope(explained())
+    data = explorer.explorer_data(explained())
     assert [(c["name"], c["unit"]) for c in data["channels"]] == [
         ("P_a1", "kPa"), ("P_a2", "kPa"), ("F", "N"),
     ]  # fmt: skip
@@ -461,7 +463,7 @@ def test_the_page_holds_a_short_log_sample_by_sample():
 def test_the_page_holds_a_long_log_as_its_envelope(monkeypatch):
     monkeypatch.setattr(explorer, "BYTES", 40_000)
     s = explained().series[0]
-    data = explorer.scope(replace(explained(), series=(s,)))
+    data = explorer.explorer_data(replace(explained(), series=(s,)))
     assert len(json.dumps(data)) < 42_000
     log = data["logs"][0]
     low, high = unpacked(log["lines"]["F"]["after"])
@@ -481,8 +483,8 @@ def test_the_page_holds_a_long_log_as_its_envelope(monkeypatch):
 def test_the_page_shows_one_line_where_nothing_was_changed():
     s = explained().series[0]
     same = replace(explained(), series=(replace(s, after=s.before),))
-    assert explorer.scope(same)["ways"] == ["after"]
-    assert explorer.scope(replace(explained(), series=())) is None
+    assert explorer.explorer_data(same)["ways"] == ["after"]
+    assert explorer.explorer_data(replace(explained(), series=())) is None
 
 
 def test_bins_follow_a_line():

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hydrojax.identify.report import write
-from hydrojax.paper.experiments import reference
-from hydrojax.tune import report as tune_report
 from tests.browser import Browser, Page
 from tests.identify.test_report import OUTCOMES, explained
 from tests.tunings import tuned
@@ -33,7 +30,7 @@ def reports(tmp_path_factory):
     top = tmp_path_factory.mktemp("reports")
     for name, make in OUTCOMES.items():
         write.write_report(make(), top / name)
-    tune_report.write(tuned(), Path(reference()[0].path), top / "tuned")
+    tuned().save(top / "tuned")
     return top
 
 
@@ -75,13 +72,13 @@ def test_a_report_is_quiet_and_fits_the_screen(browser, reports, name):
 def test_without_scripts_the_pictures_stand_still(browser, reports):
     file = reports / "explained" / "report.html"
     alive, still = Page(browser, file, 400), Page(browser, file, 400, scripts=False)
-    shown = "[...document.querySelectorAll('.scope, .bar, .still')].map(e => {}) "
+    shown = "[...document.querySelectorAll('.explorer, .bar, .still')].map(e => {}) "
     shown = shown.replace("{}", "[e.className, e.offsetHeight > 0]")
     assert alive.ask(shown) == [
-        ["scope", True], ["bar", True], ["still", False], ["bar", True],
+        ["explorer", True], ["bar", True], ["still", False], ["bar", True],
     ]  # fmt: skip
     assert still.ask(shown) == [
-        ["scope", False], ["bar", False], ["still", True], ["bar", False],
+        ["explorer", False], ["bar", False], ["still", True], ["bar", False],
     ]  # fmt: skip
     assert len(rows(still)) == len(explained().candidates)
 
@@ -93,7 +90,7 @@ PIXELS = """[...document.querySelectorAll("canvas")].map(c => c.toDataURL())"""
 
 def view(page: Page) -> tuple[float, float]:
     """From when to when the residual is shown, s."""
-    said = page.ask("document.querySelector('.scope output').textContent")
+    said = page.ask("document.querySelector('.explorer output').textContent")
     first, last = re.findall(r"[\d.]+", said)
     return float(first), float(last)
 
@@ -110,13 +107,13 @@ def test_zooming_changes_the_view_and_tells_it(page):
     page.settle()
     whole, pictures = view(page), page.ask(PIXELS)
     assert whole == (0.5, 24.0) and len(pictures) == 3
-    page.click(".scope [name=in]")
+    page.click(".explorer [name=in]")
     first, last = view(page)
     assert last - first == pytest.approx((whole[1] - whole[0]) / 2, abs=0.2)
     assert all(a != b for a, b in zip(pictures, page.ask(PIXELS), strict=True))
-    page.click(".scope [name=left]")
+    page.click(".explorer [name=left]")
     assert view(page)[0] < first
-    page.click(".scope [name=all]")
+    page.click(".explorer [name=all]")
     assert view(page) == whole and page.ask(PIXELS) == pictures
     assert page.errors() == []
 
@@ -137,7 +134,7 @@ def test_the_view_holds_the_residual_itself(page):
 
 
 def test_the_drag_of_a_mouse_and_the_pinch_of_fingers(page):
-    page.click(".scope [name=in]")
+    page.click(".explorer [name=in]")
     before = view(page)
     page.ask("document.querySelector('canvas').scrollIntoView({block: 'center'})")
     box = page.ask(
@@ -169,15 +166,15 @@ def test_the_drag_of_a_mouse_and_the_pinch_of_fingers(page):
 def test_lines_can_be_left_out_and_logs_chosen(page):
     page.settle()
     pictures = page.ask(PIXELS)
-    page.click(".scope [name=before]")
+    page.click(".explorer [name=before]")
     assert all(a != b for a, b in zip(pictures, page.ask(PIXELS), strict=True))
     page.ask(
         "(s => { s.value = '1'; s.dispatchEvent(new Event('change')) })"
-        "(document.querySelector('.scope [name=log]'))"
+        "(document.querySelector('.explorer [name=log]'))"
     )
     page.settle()
     assert view(page) == (0.5, 9.5)
-    names = page.ask("[...document.querySelector('.scope select')].map(o => o.text)")
+    names = page.ask("[...document.querySelector('.explorer select')].map(o => o.text)")
     assert names == ["validate.csv", "slow <b>.csv"]
     assert page.errors() == []
 
@@ -196,15 +193,15 @@ def rows(page: Page) -> list[str]:
 def test_candidates_are_found_by_text_and_by_status(page):
     every = [c.name for c in write.figures.ranking(explained())]
     assert rows(page) == every
-    page.ask("document.querySelector('#sieve input').focus()")
+    page.ask("document.querySelector('#filter input').focus()")
     page.call("Input.insertText", text="Valve_ little")
     assert rows(page) == ["valve_lag"]
-    assert "1 of 7" in page.ask("document.querySelector('#sieve output').textContent")
-    page.ask("document.querySelector('#sieve input').select()")
+    assert "1 of 7" in page.ask("document.querySelector('#filter output').textContent")
+    page.ask("document.querySelector('#filter input').select()")
     page.press("Delete")
     page.call("Input.insertText", text="a")
-    page.click("#sieve [value=absent]")
-    page.click("#sieve [value='cannot tell']")
+    page.click("#filter [value=absent]")
+    page.click("#filter [value='cannot tell']")
     assert rows(page) == ["internal_leakage", "position_friction", "valve_lag"]
     assert page.errors() == []
 

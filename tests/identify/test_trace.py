@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hydrojax.identify.api import trace_case
+from hydrojax.identify.case import open_case
 from hydrojax.identify.report.write import json_of, write_report
 from hydrojax.identify.results.describe import dependence, spectral_line, unexplained
 from hydrojax.identify.results.outcome import Outcome
@@ -40,8 +42,8 @@ def traced(recorded) -> Callable[[str], Outcome]:
         if name not in made:
             case = recorded(*CASES[name])
             logs = [case / "fit_1.csv", case / "fit_2.csv"]
-            opened = case.open_case(case / "rig.toml", logs, [case / "validate.csv"])
-            made[name] = case.trace_case(opened)
+            opened = open_case(case / "rig.toml", logs, [case / "validate.csv"])
+            made[name] = trace_case(opened)
         return made[name]
 
     return of
@@ -56,7 +58,7 @@ def test_another_rig_compiles_nothing(traced, recorded, compiled):
     compiled.clear()
     case = recorded(2, {})
     logs = [case / "fit_1.csv", case / "fit_2.csv"]
-    case.trace_case(case.open_case(case / "rig.toml", logs, [case / "validate.csv"]))
+    trace_case(open_case(case / "rig.toml", logs, [case / "validate.csv"]))
     assert compiled == []
 
 
@@ -145,10 +147,10 @@ def test_what_no_catalogue_names_is_left_unknown_and_described(traced):
     assert left.channel == "F" and left.unit == "N"
     assert left.excess == pytest.approx(60 / np.sqrt(2), rel=0.3)
     assert left.follows == "frequency"
-    assert "line near" in left.says
-    hertz = float(left.says.split("near ")[1].split(" Hz")[0])
+    assert "line near" in left.description
+    hertz = float(left.description.split("near ")[1].split(" Hz")[0])
     assert hertz == pytest.approx(13.0, abs=4.0)  # windows of 0.25 s resolve 4 Hz
-    assert left.says in outcome.sentence
+    assert left.description in outcome.sentence
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -397,7 +399,7 @@ def test_what_a_residual_follows_is_named(signals, name, law):
     residual = 2 * made / made.std() + white(0)
     left = unexplained("F", "N", 1.0, residual, signals, 1e-3)
     assert left.follows == name
-    assert name in left.says and "F stays" in left.says
+    assert name in left.description and "F stays" in left.description
     assert left.excess == pytest.approx(np.sqrt(np.mean(residual**2) - 1), rel=1e-9)
     shares = {n: dependence(residual, s)[0] for n, s in signals.items()}
     assert shares[name] > 0.2
@@ -433,7 +435,7 @@ def test_a_line_is_found(signals, hertz):
     assert height > 12
     left = unexplained("F", "N", 1.0, residual, signals, 1e-3)
     assert left.follows == "frequency"
-    assert "line near" in left.says
+    assert "line near" in left.description
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -441,4 +443,4 @@ def test_white_noise_goes_with_nothing(signals, seed):
     left = unexplained("P_a1", "Pa", 1e3, 3e3 * white(seed), signals, 1e-3)
     assert left.follows == "none"
     assert left.excess == pytest.approx(np.sqrt(8) * 1e3, rel=0.05)
-    assert "kPa" in left.says
+    assert "kPa" in left.description

@@ -33,15 +33,17 @@ def solve(job: Job, options: Options) -> dict[str, Any]:
         _own(path, Path(path).read_bytes())
     from hydrojax.identify import api
     from hydrojax.identify.case import open_case
+    from hydrojax.identify.tracing.criteria import Criteria
 
-    case = open_case(job.rig, job.fit, job.validate_, options.horizon)
+    criteria = Criteria(matters=options.matters, level=options.level)
+    case = open_case(
+        job.rig, job.fit, job.validate_, horizon=options.horizon, criteria=criteria
+    )
     starts = options.starts or STARTS[options.command]
     if options.command == "identify":
         outcome = api.identify(case, starts, profile=options.profile)
     else:
-        outcome = api.trace_case(
-            case, starts, options.matters, options.level, profile=options.profile
-        )
+        outcome = api.trace_case(case, starts, profile=options.profile)
     ranges = {n: e.range for n, e in case.spec.parameters.items() if e.range}
     return row_of(outcome, ranges)
 

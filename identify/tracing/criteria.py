@@ -1,0 +1,202 @@
+"""Every threshold that decides something in an identification or a trace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """The thresholds of an identification and of a trace, as one value.
+
+    Each field gives its unit and what set it. `benchmarks.trace` stands for the
+    benchmark of synthetic rigs with hidden effects in `benchmarks/trace`: such a value
+    was chosen on its development cases and is held by its verdicts. Tolerances of
+    numerical methods (damping, pivots, step sizes) and the layout of replay windows
+    decide nothing about a rig and are not among them.
+    """
+
+    # -- which effects are added --
+
+    matters: float = 0.02
+    """Smallest fall of a channel's validation RMS that counts, as a share of its noise.
+    The resolution that is asked of a trace; `benchmarks.trace`."""
+    level: float = 0.01
+    """Family-wise significance below which a candidate's score is taken as real, 1.
+    Convention; its false alarms are counted by `benchmarks.trace`."""
+    at_noise: float = 1.1
+    """RMS error over the noise up to which a channel is at its noise, 1.
+    `benchmarks.trace`."""
+    fair_share: float = 0.2
+    """Share of a channel's excess over its noise (in squares) that an effect has to
+    take away where it does not bring the channel to its noise, 1: less is parameters
+    that compensate, not an explanation. `benchmarks.trace`."""
+    beyond_chance: float = 3.0
+    """Standard errors by which the validation error must fall, windows paired, 1.
+    Convention (three sigma); `benchmarks.trace`."""
+    worse_by: float = 2.0
+    """Standard errors by which an alternative's validation error must be larger to be
+    distinguished from the effect that was added, 1. Convention (two sigma)."""
+    promising: float = 0.02
+    """Share of chi-square from which a candidate is refitted whatever the p-value of
+    its score, 1: under a second missing effect the scores of the windows scatter, and
+    the test is weak. `benchmarks.trace`."""
+    smallest_gain: float = 0.5
+    """Gain of chi-square from which a candidate is refitted, over that of a change
+    that matters, 1. `benchmarks.trace`."""
+    tries: int = 4
+    """Candidates that are refitted in a round, count. `benchmarks.trace`."""
+    near_best: float = 0.9
+    """Gain over the best candidate's from which more than `tries` are refitted, 1.
+    `benchmarks.trace`."""
+    rounds: int = 4
+    """Effects that each of the two stages may add, count. `benchmarks.trace`."""
+    first_step: float = 0.5
+    """Part of the step foreseen by a score from which a refit starts, 1: the step is
+    linear and tends to overshoot. `benchmarks.trace`."""
+    power: float = 0.8
+    """Power of the test from which an effect that was not seen is absent, 1.
+    Convention (Cohen, Statistical Power Analysis, 1988)."""
+    draws: int = 2000
+    """Draws of the wild cluster bootstrap of the maximum statistic, count: resolves
+    p-values of about `counted_above` (Cameron, Gelbach and Miller, 2008)."""
+    tail: float = 0.01
+    """Quantile of these draws that gives the number of independent tests, 1: 20 of
+    2000 draws lie below it. Checked by the size of the test on synthetic scores."""
+    counted_above: float = 0.02
+    """Family-wise p-value above which it is counted among the draws, 1; below, it is
+    extrapolated by the number of independent tests. As `tail`."""
+
+    # -- fits --
+
+    blind_starts: int = 4
+    """Least number of starts where no pressure is measured, count: a single one often
+    ends in a local minimum there. `benchmarks.trace`."""
+    start_spread: float = 0.3
+    """Half range of the starts about the declared values, relative. `benchmarks.trace`.
+    """
+    start_windows: int = 32
+    """Windows on which the starts are compared, count: time against what they tell."""
+    reweighted_above: float = 1.25
+    """RMS misfit over the noise from which a channel is weighted by its misfit, 1: it
+    would otherwise distort the parameters that the other channels determine.
+    `benchmarks.trace`."""
+    weights_settled: float = 0.1
+    """Relative change of the channels' weights below which they are settled, 1.
+    Convergence; `benchmarks.trace`."""
+    weight_rounds: int = 3
+    """Fits of all parameters until the weights are settled, at most, count."""
+    blind_rounds: int = 8
+    """The same where no pressure is measured, count: initial pressures then follow the
+    fit step by step."""
+    blind_progress: float = 0.99
+    """Ratio of two rounds' force errors above which such a fit is settled, 1."""
+    pressures_settled: float = 0.5
+    """Median correction of the initial pressures, over the least noise, below which
+    the fit of the pressures is settled, 1."""
+    blind_corrections: int = 6
+    """Gauss-Newton corrections of the initial pressures where none is measured, count.
+    `benchmarks.trace`."""
+    asymmetry: float = 3.0
+    """Standard deviations by which k_cp and k_cn must differ to be kept apart from an
+    offset k_0, 1. Convention (three sigma)."""
+    tied: float = 1e-3
+    """Standard deviation that holds k_cp and k_cn together where they are not, N."""
+    force_agrees: float = 0.05
+    """Difference of the force and of the one that stretches the rod, RMS over the
+    noise, below which both agree, 1. Convergence: 0.1 % of the noise in squares."""
+    force_rounds: int = 10
+    """Rounds until both forces agree, at most, count."""
+
+    # -- uncertainty --
+
+    unidentifiable: float = 0.5
+    """Standard deviation over a parameter's size from which it is unidentifiable, 1: a
+    95 % interval then reaches zero."""
+    unseen_direction: float = 1e-10
+    """Eigenvalue of the scaled curvature below which a direction is not observed, 1:
+    rounding of double precision, with a margin."""
+    unseen_std: float = 1e3
+    """Standard deviation given to such a direction, in units of the scales, 1."""
+    hardly_shown: float = 1e-6
+    """Root of a parameter's curvature, over the largest, below which the logs hardly
+    show it, 1."""
+    nearly_singular: float = 0.05
+    """Smallest eigenvalue of the scaled curvature below which only a combination of
+    parameters is identifiable, 1. `tests/identify`."""
+    partner: float = 0.2
+    """Component of that eigenvector from which a parameter is named in it, 1."""
+    confidence: float = 0.95
+    """Confidence of profile-likelihood intervals, 1. Convention."""
+    profile_close: float = 0.03
+    """Relative accuracy of such an interval's ends, 1."""
+    profile_refits: int = 5
+    """Refits an end may take, count."""
+
+    # -- what is read of the logs --
+
+    slowest_tick: float = 0.05
+    """Seconds between rows up to which a command is replayed: a chamber settles in far
+    less."""
+    fewest_rows: int = 20
+    """Rows that a stretch without gaps must exceed, count."""
+    most_ticks: int = 80_000
+    """Ticks that a fit or a check uses, count: more only cost time."""
+    band_noise_u: float = 0.1
+    """Share of acceleration that may be noise of the position where u drives, 1:
+    only acceleration is filtered there. `benchmarks.trace`."""
+    band_noise_pressures: float = 0.005
+    """The same where pressures drive, 1: speed and acceleration are filtered.
+    `benchmarks.recorded`."""
+    band_noise_P: float = 0.001  # noqa: N815, as the channel P
+    """The same where the drive force P drives, 1: force is compared in that band.
+    `benchmarks.recorded`."""
+    lowest_band: float = 20.0
+    """Hz below which motion is always followed: friction reverses that fast.
+    `benchmarks.recorded`."""
+    above_floor: float = 10.0
+    """Power over the noise floor from which a position's spectrum is signal, 1."""
+    flat_floor: float = 1.5
+    """Ratio of a spectrum's middle to its last fifth up to which it is white, 1."""
+    sensor_counts: float = 0.3
+    """Share of a channel's noise that the noise of what drives must bring to be
+    smoothed, 1: it adds 4 % to that noise. `benchmarks.trace`."""
+    distorted: float = 4.0
+    """Ratio by which a rig as declared may answer the position's noise more strongly
+    than the fitted one, 1: either may be wrong. `benchmarks.trace`."""
+    backward: float = 5.0
+    """Multiples of the force's noise by which friction must drive the motion for x to
+    be taken as reversed, 1."""
+    backward_speed: float = 0.3
+    """Standard deviations of the speed from which it counts as moving there, 1."""
+
+    # -- what is left --
+
+    correlates: float = 0.08
+    """Share of the residual variance that a signal must explain to be named, 1.
+    `benchmarks.trace`."""
+    quantiles: int = 16
+    """Quantiles of a signal between which the residual's means are compared, count."""
+    shuffles: int = 99
+    """Permutations of a signal's windows that give the p-value, count: its least value
+    is 0.01."""
+    line: float = 12.0
+    """Height of a spectral line over the median of the spectrum to be named, 1.
+    `benchmarks.trace`."""
+    needed: float = 0.1
+    """Share of the fall of the validation error that a parameter's change must give
+    back for the verdict to wait on that parameter, 1. `benchmarks.trace`."""
+    loop_seconds: float = 20.0
+    """Seconds of a log that are run again in closed loop, at most."""
+    loop_settle: float = 0.5
+    """Seconds of them that are not compared at first: the initial state is unknown."""
+
+    @property
+    def band_noise(self) -> Mapping[str, float]:
+        """Share of acceleration that may be noise, by what drives the replay."""
+        return {
+            "u": self.band_noise_u,
+            "pressures": self.band_noise_pressures,
+            "P": self.band_noise_P,
+        }
