@@ -10,6 +10,7 @@ import xarray as xr
 from jaxtyping import ArrayLike
 
 from hydrojax.errors import InputError
+from hydrojax.jax_setup import ensure_jax
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import sweep as sweeps
 from hydrojax.tune.accessor import Swept as Swept  # so that `data.hydrojax` is known
@@ -71,6 +72,7 @@ def sweep(
         InputError: an unknown name, a value that its quantity cannot take, or a folder
             that holds another sweep.
     """
+    ensure_jax()
     plan = plan_sweep(
         rig, axes, methods=methods, gains=gains, at=at, plants=plants, spread=spread,
         findings=findings, frozen=frozen,
@@ -151,6 +153,7 @@ def tune_gains(
     Raises:
         InputError: an unknown name, or a value that its quantity cannot take.
     """
+    ensure_jax()
     progress("read the rig")
     file = rig_file(rig)
     found = Findings.load(findings) if findings else None

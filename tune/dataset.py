@@ -15,7 +15,7 @@ from hydrojax import __version__, units
 from hydrojax.tune import measure, metrics
 
 if TYPE_CHECKING:
-    from hydrojax.tune.sweep import Plan
+    from hydrojax.tune.plan import Plan
 
 POINT = (
     "at rest: F_0 on the output, valve shut; moving: where a slow loop stands as the "

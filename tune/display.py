@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,9 +10,7 @@ from matplotlib.figure import Figure
 from hydrojax.report import markup
 from hydrojax.tune.metrics import maximum, minimum
 from hydrojax.tune.optimize import TIGHT
-
-if TYPE_CHECKING:
-    from hydrojax.tune.result import Tuned
+from hydrojax.tune.tuning import Tuning
 
 _BEFORE, _AFTER = "#b2382e", "#1f4e9c"
 
@@ -37,7 +35,7 @@ def show(value: Any, unit: str) -> str:
     return f"{value:.3g} {unit}".replace("-", "−")
 
 
-def table(t: Tuned) -> list[tuple[str, ...]]:
+def table(t: Tuning) -> list[tuple[str, ...]]:
     """Before and after, the rig's and the worst plant's."""
     out = []
     for title, name, unit, factor, worst in ROWS:
@@ -52,7 +50,7 @@ def table(t: Tuned) -> list[tuple[str, ...]]:
     return out
 
 
-def sentence(t: Tuned) -> str:
+def sentence(t: Tuning) -> str:
     """The result in one line."""
     was, now = (minimum(f["within_1dB"]) for f in (t.before, t.after))
     if not now:
@@ -68,7 +66,7 @@ def sentence(t: Tuned) -> str:
     return said + (f". Not kept: {', '.join(broken)}." if broken else ".")
 
 
-def summary(t: Tuned) -> str:
+def summary(t: Tuning) -> str:
     """Gains, metrics before and after, and what limits the loop, as plain text."""
     gains = [
         (name, f"{t.start[name]:.4g}", f"{value:.4g}", t.units[name])
@@ -96,7 +94,7 @@ def _columns(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     )
 
 
-def limit(t: Tuned) -> str:
+def limit(t: Tuning) -> str:
     """What limits the loop most, in words."""
     gains = [r for r in t.relaxed if r.gain > 0.03]
     if not gains:
@@ -108,12 +106,12 @@ def limit(t: Tuned) -> str:
     )
 
 
-def ends(t: Tuned) -> list[str]:
+def ends(t: Tuning) -> list[str]:
     """Names of the limits that the tuned loop reaches."""
     return [name for name, left in t.optimum.slack.items() if abs(left) < TIGHT]
 
 
-def bode_figure(t: Tuned) -> Figure:
+def bode_figure(t: Tuning) -> Figure:
     """Gain and phase before and after, with the ensemble's range."""
     fig = Figure(figsize=(8.0, 6.2), layout="constrained")
     top, bottom = fig.subplots(2, 1, sharex=True)
@@ -148,7 +146,7 @@ def bode_figure(t: Tuned) -> Figure:
     return fig
 
 
-def limits_figure(t: Tuned) -> Figure:
+def limits_figure(t: Tuning) -> Figure:
     """What each limit costs, as bars."""
     fig = Figure(figsize=(8.0, 0.42 * len(t.relaxed) + 1.3), layout="constrained")
     ax = fig.subplots()
@@ -164,7 +162,7 @@ def limits_figure(t: Tuned) -> Figure:
     return fig
 
 
-def html(t: Tuned) -> str:
+def html(t: Tuning) -> str:
     """Gains, metrics before and after, and what limits it: what a notebook shows."""
     gains = [
         (name, f"{t.start[name]:.4g}", f"{value:.4g}", t.units[name])

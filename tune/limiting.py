@@ -78,9 +78,11 @@ def _cases(objective: Objective) -> dict[str, Objective]:
         lambda s: s.P_s, objective.setting, 1.5 * objective.setting.P_s
     )
     cases: dict[str, Objective] = {
-        "peak: 3 dB more": objective.relaxed(limits=replace(keep, peak=keep.peak + 3)),
+        "peak: 3 dB more": objective.relaxed(
+            limits=replace(keep, peak_dB=keep.peak_dB + 3)
+        ),
         "margins: 3 dB less": objective.relaxed(
-            limits=replace(keep, sensitivity=keep.sensitivity + 3)
+            limits=replace(keep, sensitivity_dB=keep.sensitivity_dB + 3)
         ),
         "sensor noise: none": objective.relaxed(limits=replace(keep, noise=1e3)),
         "tracking and rejection: not required": objective.relaxed(

@@ -48,19 +48,19 @@ class Limits:
     """What the tuned loop must keep, for every plant of the ensemble.
 
     Attributes:
-        within: |F/F_d| up to the bandwidth, dB.
-        peak: largest |F/F_d|, dB.
-        sensitivity: largest |1 / (1 + L)| of the loop opened at the command, dB: 6 dB
-            hold a gain margin of 6 dB and a phase margin of 29 degrees.
+        within_dB: |F/F_d| up to the bandwidth, dB.
+        peak_dB: largest |F/F_d|, dB.
+        sensitivity_dB: largest |1 / (1 + L)| of the loop opened at the command: 6 dB
+            ensure a gain margin of 6 dB and a phase margin of 29 degrees.
         noise: RMS of the command by sensor noise, share of u_max.
         push: command at the setting's amplitude up to the bandwidth, share of u_max.
         tracking: RMS of F_d - F in the moving run, relative to the rig's own before.
         rejection: of disturbances at LOW_HZ, relative to before.
     """
 
-    within: float = 1.0
-    peak: float = 3.0
-    sensitivity: float = 6.0
+    within_dB: float = 1.0
+    peak_dB: float = 3.0
+    sensitivity_dB: float = 6.0
     noise: float = 0.01
     push: float = 0.9
     tracking: float = 3.0
@@ -202,7 +202,8 @@ class Objective:
         low = 0.0
         if self.before:
             low = float(np.max(self.before["low"])) - 20 * np.log10(keep.rejection)
-        limits = (keep.within, keep.peak, keep.sensitivity, keep.noise, keep.push)
+        shape = (keep.within_dB, keep.peak_dB, keep.sensitivity_dB)
+        limits = (*shape, keep.noise, keep.push)
         return _Given(
             self.setting, jnp.asarray(self.values), jnp.array(limits), jnp.asarray(low)
         )

@@ -19,10 +19,10 @@ from hydrojax.tune.display import (
     show,
     table,
 )
-from hydrojax.tune.result import Tuned
+from hydrojax.tune.tuning import Tuning
 
 
-def pictures(t: Tuned) -> dict[str, tuple[Figure, str, str]]:
+def pictures(t: Tuning) -> dict[str, tuple[Figure, str, str]]:
     """Figures with their alternative text and caption, by the name of their file."""
     out = {
         "tune_bode": (
@@ -39,7 +39,7 @@ def pictures(t: Tuned) -> dict[str, tuple[Figure, str, str]]:
     return out
 
 
-def write(t: Tuned, out: Path) -> None:
+def write(t: Tuning, out: Path) -> None:
     """Write tune.json, rig.toml, the pictures and report.html into a folder."""
     shown = []
     for name, (figure, alt, caption) in pictures(t).items():

@@ -153,7 +153,7 @@ def tune(
     from hydrojax.tune import api, display
     from hydrojax.tune.objective import Limits
 
-    limits = Limits(peak=peak, sensitivity=margin, noise=noise, tracking=tracking)
+    limits = Limits(peak_dB=peak, sensitivity_dB=margin, noise=noise, tracking=tracking)
     folder = source if source.is_dir() else None
     with show_progress() as progress:
         tuned = api.tune_gains(

@@ -322,4 +322,4 @@ def test_metrics_of_the_worst():
         "peak_dB": 1,
         "rms_N": 5,
     }
-    assert replace(Limits(), peak=1.0).peak == 1.0
+    assert replace(Limits(), peak_dB=1.0).peak_dB == 1.0
