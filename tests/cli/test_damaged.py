@@ -19,8 +19,8 @@ from benchmarks.damage.mutations import damaged_log, damaged_rig
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.log import SIGNALS, read_log
-from hydrojax.rigfile.build import load_rig
-from hydrojax.rigfile.schema import GEOMETRY, LOAD
+from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD
 
 many = settings(
     max_examples=250, deadline=None, derandomize=True,
@@ -58,7 +58,7 @@ def log_is_sound_or_refused(path: Path) -> None:
 
 def rig_is_sound_or_refused(path: Path) -> None:
     try:
-        spec = load_rig(path)
+        spec = RigFile.load(path)
     except InputError as error:
         one_line(path, error)
         return
