@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from hydrojax.effects.mechanics import ViscousFriction
+from hydrojax.effects.friction import ViscousFriction
 
 from hydrojax.identify import api as identifying
 from hydrojax.identify.case import open_case
