@@ -12,14 +12,16 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from hydrojax.control.adaptive import Law
 from hydrojax.errors import InputError
+from hydrojax.parameters import specs
 from hydrojax.plant.load import Inertia
 from hydrojax.plant.named import parameter_specs, put
 from hydrojax.rigfile.build import build_rig
-from hydrojax.rigfile.controller import KEYS
 from hydrojax.rigfile.quantities import (
     Quantity,
     Setting,
+    controller_quantities,
     find,
     open_setting,
     quantities,
@@ -78,7 +80,8 @@ def tune(
     known = quantities(spec, setting)
     setting = placed(setting, known, at)
     free = tuple(free) or _default_free(setting)
-    chosen = [_gain(known, name) for name in free]
+    gains = [q.name for q in controller_quantities(spec, setting) if q.name != "rate"]
+    chosen = [_gain(known, name, gains) for name in free]
     plants = make_plants(setting, count, spread, folder if _fitted(report) else None)
     plants = plants or axes.ensemble(setting, 1)
     limits = limits or Limits()
@@ -134,19 +137,20 @@ def _found(
 
 
 def _default_free(setting: Setting) -> tuple[str, ...]:
+    """The gains to tune where nothing else is said."""
+    if not isinstance(setting.loop.law, Law):
+        return tuple(name for name in specs(setting.loop.law) if name != "u_max")
     moves = isinstance(setting.loop.load, Inertia)
     return (*result.FREE, "A_a") if moves else result.FREE
 
 
-def _gain(known: dict[str, Quantity], name: str) -> Quantity:
+def _gain(known: dict[str, Quantity], name: str, gains: list[str]) -> Quantity:
     """A quantity that a controller can be given."""
     quantity = find(known, name, "--free")
-    key = name
-    for end in ("_hat", "_lower", "_upper"):
-        key = key.removesuffix(end)
-    if key not in KEYS or (quantity.reach is None) or name == "rate":
+    if name not in gains:
         raise InputError(
-            f"--free {name}: is no gain of the law; name k_p, k_f, k_1, tau_d, A_a …"
+            f"--free {name}: is no gain of the controller; name one of "
+            f"{', '.join(gains)}"
         )
     return quantity
 
@@ -204,6 +208,8 @@ def _as_found(setting: Setting, report: dict[str, Any]) -> Setting:
 
 def _adaptable(known: dict[str, Quantity], setting: Setting) -> list[Quantity]:
     """What of the adaptation is at work and above 0."""
+    if not isinstance(setting.loop.law, Law):
+        return []
     chosen = [known[n] for n in result.ADAPTATION]
     return [q for q in chosen if float(q.get(setting)) > 0]
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
+from hydrojax.control.adaptive import Law
 from hydrojax.tune.objective import KEEPS, Goal
 
 MOST_STEPS = 40
@@ -88,7 +89,8 @@ def _floor(name: str) -> float:
 
 def _stable(goal: Goal, x: np.ndarray) -> np.ndarray:
     """`x` with its feedback lowered until the loop is stable."""
-    feedback = np.array([q.name in ("k_p", "k_f") for q in goal.free])
+    adaptive = isinstance(goal.setting.loop.law, Law)
+    feedback = np.array([not adaptive or q.name in ("k_p", "k_f") for q in goal.free])
     for _ in range(8):
         if goal.scores(x)[2]:
             break

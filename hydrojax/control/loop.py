@@ -9,14 +9,14 @@ the `valve_delay` effect of the rig, a spool its `valve_lag`.
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hydrojax.control.adaptive import Law, Measured, Memory
+from hydrojax.control.base import AbstractController, Measured
 from hydrojax.plant.friction import Sliding
 from hydrojax.plant.load import EnvironmentMotion, Load, Motion
 from hydrojax.plant.rig import Rig, State, StepInput
@@ -78,7 +78,7 @@ class Loop(eqx.Module):
     """
 
     rig: Rig
-    law: Law
+    law: AbstractController
     load: Load
     sensors: Sensors
     h: Array
@@ -88,21 +88,10 @@ class Loop(eqx.Module):
 class _Carry(NamedTuple):
     plant: State
     motion: Motion
-    law: Memory
+    law: Any
     gauges: tuple[Array, Array]  # what the pressure sensors say, before noise
     cell: Array  # what the load cell says, before noise
     F: Array
-
-
-SIGNALS = (
-    "u", "x", "P_a1", "P_a2", "P_s", "F",  # as logged
-    "true_x", "true_v", "true_P_a1", "true_P_a2", "true_F",
-    "P", "P_d", "P_d_rate", "v", "swept", "virtual",  # the law's
-    "k_1", "A_a", "k_cp", "k_cn", "k_0", "k_vp", "k_vn", "k_fp", "k_fn",
-    "L",
-)  # fmt: skip
-"""What a run can give at each sample, SI: readings and command, the truth behind them,
-what the law made of it, the estimates that made the command, and its switch L(t)."""
 
 
 def begin(loop: Loop, scenario: Scenario) -> _Carry:
@@ -137,12 +126,23 @@ def begin(loop: Loop, scenario: Scenario) -> _Carry:
 
 
 def step(loop: Loop, carry: _Carry, tick: Scenario) -> tuple[_Carry, dict[str, Array]]:
-    """One sample: sense, decide, act until the next. `tick` is one row of a course."""
+    """One sample: sense, decide, act until the next.
+
+    Args:
+        loop: what is run.
+        carry: as `begin` or the sample before left it.
+        tick: one row of a course.
+
+    Returns:
+        What the next sample begins with, and scalars by name, SI: the readings and the
+        command as logged (`x P_a1 P_a2 P_s F u`), the truth behind them (`true_x true_v
+        true_P_a1 true_P_a2 true_F`), and what the controller records.
+    """
     truth = Measured(*carry.gauges, tick.P_s[0], carry.cell, carry.motion.x)
     seen = loop.sensors.read(truth, tick.noise)
-    before = carry.law.estimates
     law, u, made = loop.law.step(carry.law, seen, tick.F_d, loop.h)
     now = {
+        **made,
         "u": u,
         **seen._asdict(),
         "true_x": carry.motion.x,
@@ -150,9 +150,6 @@ def step(loop: Loop, carry: _Carry, tick: Scenario) -> tuple[_Carry, dict[str, A
         "true_P_a1": carry.plant.P[0],
         "true_P_a2": carry.plant.P[1],
         "true_F": carry.F,
-        **made._asdict(),
-        **before._asdict(),
-        "L": loop.law.nominal.mechanics.switch(law.speed),
     }
 
     parts = tick.environment.v.shape[-1]
@@ -198,7 +195,17 @@ def step(loop: Loop, carry: _Carry, tick: Scenario) -> tuple[_Carry, dict[str, A
     return _Carry(plant, motion, law, gauges, cell, F), now
 
 
-def run(loop: Loop, scenario: Scenario, keep: tuple[str, ...] = SIGNALS) -> Array:
+def signal_names(loop: Loop, scenario: Scenario) -> tuple[str, ...]:
+    """What a run can give at each sample: see `step`."""
+
+    def one(loop: Loop, scenario: Scenario) -> dict[str, Array]:
+        tick = jax.tree.map(lambda a: a[0], scenario)
+        return step(loop, begin(loop, scenario), tick)[1]
+
+    return tuple(eqx.filter_eval_shape(one, loop, scenario))
+
+
+def run(loop: Loop, scenario: Scenario, keep: tuple[str, ...]) -> Array:
     """The signals `keep` at every sample, [N, len(keep)], SI; to be jitted or vmapped.
 
     One array comes out of the scan, since several of one shape are copied whole at
