@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hydrojax.control.base import AbstractController, Measured
+from hydrojax.control.base import Measured
 from hydrojax.plant.friction import Sliding
 from hydrojax.plant.load import EnvironmentMotion, Load, Motion
 from hydrojax.plant.rig import Rig, State, StepInput
@@ -72,13 +72,14 @@ class Scenario(NamedTuple):
 
 
 class Loop(eqx.Module):
-    """A rig, the law that commands it, its load and its sensors.
+    """A rig, the controller that commands it, its load and its sensors.
 
-    `h` is the control period, s; `P_start` the pressure of chamber 1 at the start, Pa.
+    `law` is an `AbstractController`, by default the paper's; `h` is the control period,
+    s; `P_start` the pressure of chamber 1 at the start, Pa.
     """
 
     rig: Rig
-    law: AbstractController
+    law: Any  # an AbstractController; typed so that its own gains can be reached
     load: Load
     sensors: Sensors
     h: Array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -76,8 +77,7 @@ def test_an_integral_stands_still_while_the_command_saturates():
     law, h = PIController(u_max=0.1), jnp.asarray(1e-3)
     measured = jax.tree.map(jnp.asarray, _measured(F=0.0))
     memory = law.init(measured, jnp.asarray(500.0))
-    for _ in range(3):
-        memory, u, _ = law.step(memory, measured, jnp.asarray(500.0), h)
+    memory, u, _ = law.step(memory, measured, jnp.asarray(500.0), h)
     assert float(u) == -0.1 and float(memory) == 0.0
     memory, u, signals = law.step(memory, measured, jnp.asarray(50.0), h)
     assert float(memory) == pytest.approx(0.05) and float(signals["error"]) == 50.0
@@ -139,8 +139,7 @@ def test_gains_are_declared_once():
         assert KEYS[name].unit == (s.written or s.unit)
     file = RigFile.load(RIG)
     assert valve_gain(file_keys(file), build_loop(file).law.nominal) > 0
-    with pytest.raises(TypeError, match="abstract"):
-        AbstractController()
+    assert inspect.isabstract(AbstractController)
 
 
 def test_signals_are_the_controllers_own(file, scenario):
