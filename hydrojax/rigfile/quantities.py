@@ -73,6 +73,7 @@ class Quantity:
         positive: whether a value must be above 0.
         reach: where it is stored, in one place or more of the same value.
         parameter: its name among the plant's parameters, if it is one.
+        gain: whether it is a gain of the controller, which can be tuned.
     """
 
     name: str
@@ -83,6 +84,7 @@ class Quantity:
     positive: bool = False
     reach: Reach | None = None
     parameter: str = ""
+    gain: bool = False
 
     def get(self, setting: Setting) -> Array:
         """Its value in `unit`: of two bounds, their middle."""
@@ -143,7 +145,7 @@ def quantities(spec: RigFile, setting: Setting) -> dict[str, Quantity]:
     """Everything that can be named in a setting."""
     return {
         q.name: q
-        for group in (_point(), _plant, controller_quantities, _load, _noise)
+        for group in (_point(), _plant, _controller, _load, _noise)
         for q in (group(spec, setting) if callable(group) else group)
     }
 
@@ -212,7 +214,7 @@ def _plant(spec: RigFile, setting: Setting) -> list[Quantity]:
     return out
 
 
-def controller_quantities(spec: RigFile, setting: Setting) -> list[Quantity]:
+def _controller(spec: RigFile, setting: Setting) -> list[Quantity]:
     """The gains of the setting's controller, and the sampling rate.
 
     A controller of a user's own has those that it declares, under the names of its
@@ -227,16 +229,27 @@ def controller_quantities(spec: RigFile, setting: Setting) -> list[Quantity]:
     return [*own, rate]
 
 
+def declared_gains(setting: Setting) -> dict[str, str]:
+    """The fields that the controller declares, by the names they have in a setting."""
+    taken = {q.name for q in _point()} | set(parameter_specs(setting.loop.rig))
+    taken.add("rate")
+    return {
+        f"controller.{field}" if field in taken else field: field
+        for field in specs(setting.loop.law)
+    }
+
+
 def _declared(spec: RigFile, setting: Setting) -> list[Quantity]:
-    taken = {q.name for q in (*_point(), *_plant(spec, setting))} | {"rate"}
+    known = specs(setting.loop.law)
     return [
         Quantity(
-            f"controller.{name}" if name in taken else name,
-            units.with_command(s.unit, spec.command_unit),
-            s.description,
-            reach=lambda s, name=name: [getattr(s.loop.law, name)],
+            name,
+            units.with_command(known[field].unit, spec.command_unit),
+            known[field].description,
+            reach=lambda s, field=field: [getattr(s.loop.law, field)],
+            gain=True,
         )
-        for name, s in specs(setting.loop.law).items()
+        for name, field in declared_gains(setting).items()
     ]
 
 
@@ -249,7 +262,8 @@ def _adaptive(spec: RigFile) -> list[Quantity]:
         k = KEYS[key]
         unit = units.with_command(k.unit, spec.command_unit)
         factor = units.to_si(1.0, unit, si(unit), name) * (volts if k.volts else 1.0)
-        out.append(Quantity(name, unit, k.description, factor, reach=reach))
+        q = Quantity(name, unit, k.description, factor, reach=reach, gain=True)
+        out.append(q)
 
     for name in specs(Law):
         add(name, name, lambda s, name=name: [getattr(s.loop.law, name)])

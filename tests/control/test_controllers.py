@@ -26,8 +26,8 @@ from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.controller import KEYS, file_keys, valve_gain
 from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.tune import axes, linearize, optimize, sweep
-from hydrojax.tune.objective import Goal, Limits
+from hydrojax.tune import linearize
+from hydrojax.tune.api import sweep, tune_gains
 
 RIG = Path(experiments.__file__).with_name("reference.toml")
 
@@ -109,26 +109,18 @@ def test_its_gains_have_names_units_and_a_rate(file):
 
 
 def test_it_is_swept(file):
-    setting = open_setting(file)
-    known = quantities(file, setting)
-    plan = sweep.prepare(
-        sweep.Plan(setting, axes.read_axes(["k=1e-3:4e-3:3"], known), known)
-    )
-    data = sweep.run(plan)
+    data = sweep(file, {"k": np.array([1e-3, 2.5e-3, 4e-3])})
     band = data["linear_minus_3dB"].values.ravel()
     assert band.shape == (3,) and np.all(np.isfinite(band))
     assert np.all(np.diff(band) > 0)  # the more gain, the wider
 
 
 def test_it_is_tuned(file):
-    setting = open_setting(file)
-    known = quantities(file, setting)
-    free = [known["k"], known["controller.beta"]]
-    goal = Goal(setting, free, axes.ensemble(setting, 1), Limits())
-    found = optimize.tune(goal, 1)
-    assert float(goal.look(found.gains)["within_1dB"][0]) > float(
-        goal.before["within_1dB"][0]
-    )
+    found = tune_gains(file, plants=1, starts=1)
+    assert set(found.gains) == {"k", "controller.beta"}
+    assert found.after["within_1dB"][0] > 1.5 * found.before["within_1dB"][0]
+    with pytest.raises(InputError, match="invalid gain 'v': expected one of k, contr"):
+        tune_gains(file, free=("v",), plants=1)
 
 
 def test_gains_are_declared_once():

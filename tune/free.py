@@ -1,0 +1,51 @@
+"""Which quantities of a controller are tuned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hydrojax.control.adaptive import Law
+from hydrojax.errors import InputError
+from hydrojax.plant.load import Inertia
+from hydrojax.rigfile.quantities import Quantity, Setting, declared_gains, find
+
+FREE = ("k_p", "k_f", "k_1")
+"""What is tuned by default: both gains, and how much of the desired
+force's rate is fed forward."""
+
+ADAPTATION = ("rho_a", "c_1", "c_2", "c_3", "A_a_lower", "A_a_upper")
+"""What is tuned beside them with `--adaptation`, as far as the rig adapts it."""
+
+
+def default_free(setting: Setting) -> tuple[str, ...]:
+    """What is tuned where nothing is named.
+
+    Of the paper's law `FREE`, and `A_a` where a load moves; of another controller all
+    that it declares but the saturation.
+    """
+    if not isinstance(setting.loop.law, Law):
+        known = declared_gains(setting)
+        return tuple(name for name, field in known.items() if field != "u_max")
+    moves = isinstance(setting.loop.load, Inertia)
+    return (*FREE, "A_a") if moves else FREE
+
+
+def gain(known: Mapping[str, Quantity], name: str) -> Quantity:
+    """A quantity of the controller, by its name.
+
+    Raises:
+        InputError: there is none of that name, or it is no gain.
+    """
+    quantity = find(known, name, f"gain {name}")
+    if not quantity.gain:
+        gains = ", ".join(q.name for q in known.values() if q.gain)
+        raise InputError(f"invalid gain {name!r}: expected one of {gains}")
+    return quantity
+
+
+def adaptable(known: Mapping[str, Quantity], setting: Setting) -> list[Quantity]:
+    """The quantities of the adaptation that are above 0."""
+    if not isinstance(setting.loop.law, Law):
+        return []
+    chosen = [known[n] for n in ADAPTATION]
+    return [q for q in chosen if float(q.get(setting)) > 0]
