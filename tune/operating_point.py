@@ -143,10 +143,11 @@ def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
     given = scenario(setting, jnp.broadcast_to(setting.F_0, (n,)), jnp.zeros((n, 4)), t)
     carry = begin(_slow(setting.loop), given)
     # The environment may be moving from the first sample on.
-    carry = carry._replace(
-        plant=carry.plant._replace(speed=carry.plant.speed + jnp.abs(setting.v)),
-        motion=carry.motion._replace(v=setting.v),
+    plant = carry.plant._replace(
+        speed=carry.plant.speed + jnp.abs(setting.v),
+        motion=carry.plant.motion._replace(v=setting.v),
     )
+    carry = carry._replace(plant=plant)
     if not isinstance(setting.loop.law, Law):
         return _settled(setting, carry, given) if settle else carry
     believed = estimates(setting.loop, adapted)
