@@ -17,7 +17,7 @@ from hydrojax.identify.preparation.resolution import resolve
 from hydrojax.identify.preparation.segments import common_band
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import make_room
-from hydrojax.logs.log import Log, read_log
+from hydrojax.logs.log import Log
 from hydrojax.parameters import specs
 from hydrojax.rigfile.build import load_rig
 from hydrojax.rigfile.schema import RigFile
@@ -61,8 +61,8 @@ def open_case(
     spec = load_rig(rig)
     if not logs:
         raise InputError(f"{rig}: no log to fit: name at least one")
-    fitted = tuple(read_log(path, spec.channels) for path in logs)
-    others = tuple(read_log(path, spec.channels) for path in validate)
+    fitted = tuple(Log.load(path, spec.channels) for path in logs)
+    others = tuple(Log.load(path, spec.channels) for path in validate)
     again = {Path(p).resolve() for p in logs} & {Path(p).resolve() for p in validate}
     if again:
         raise InputError(

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from hydrojax import units
 from hydrojax.errors import InputError
-from hydrojax.logs.log import SIGNALS, Channel
+from hydrojax.logs.signals import SIGNALS, Channel
 from hydrojax.parameters import Spec
 from hydrojax.plant.layout import LAYOUTS, Layout
 

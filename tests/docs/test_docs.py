@@ -87,7 +87,7 @@ def test_every_page_is_there(site):
         "hydrojax.tune.plan.sweep_rig",
         "hydrojax.jax_setup.set_up_jax",
         "hydrojax.export.formats.export",
-        "hydrojax.logs.log.read_log",
+        "hydrojax.logs.log.Log.load",
     ],
 )
 def test_the_api_pages_hold(site, name):

@@ -33,7 +33,7 @@ from hydrojax.identify.preparation.noise import estimate_noise, motion_band, smo
 from hydrojax.identify.results import summary
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.logs.log import Log, read_log
+from hydrojax.logs.log import Log
 from hydrojax.parameters import specs
 from hydrojax.plant.replay import friction_memory
 from hydrojax.rigfile.build import load_rig, make_rig
@@ -519,7 +519,7 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
         both = [row for first in holes for row in (first, first + 1)]
         log.loc[both, "P_a1 [Pa]"] = np.nan
     log.to_csv(tmp_path / "log.csv", index=False)
-    data = prepare((read_log(tmp_path / "log.csv"),), bench)
+    data = prepare((Log.load(tmp_path / "log.csv"),), bench)
     w = data.windows
     rows_of = np.asarray(w.u) * 1e3
     np.testing.assert_allclose(np.diff(rows_of, axis=1), 1.0, atol=1e-6)
@@ -550,7 +550,7 @@ def test_runs_of_a_long_log_are_what_the_whole_gives(recorded, monkeypatch):
     """Every window, and what friction remembers there, within what `SETTLE` forgets."""
     case = recorded(1, None, 30.0)
     spec = load_rig(case / "rig.toml")
-    log = read_log(case / "fit_1.csv", spec.channels)
+    log = Log.load(case / "fit_1.csv", spec.channels)
     whole = prepare((log,), spec)
     ticks = whole.windows.u.shape[1]
     monkeypatch.setattr(windows, "RUN", 8)
@@ -642,7 +642,7 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
             rig.read_text() + '[channels]\npsi = { column = "psi", invert = true }\n'
         )
     spec = load_rig(rig)
-    data = prepare([read_log(p, spec.channels) for p in logs], spec)
+    data = prepare([Log.load(p, spec.channels) for p in logs], spec)
     assert data.driven_by == "pressures"
     assert runs_backward(data) == (sign < 0)
     case = open_case(rig, logs, [check])
@@ -653,7 +653,7 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
 def test_the_command_ahead_of_a_window_reaches_far_back(recorded):
     """Coarse, then tick by tick, and with the same integral as the log's own."""
     case = recorded(SEED, {})
-    data, log = opened(case).fit, read_log(case / "fit_1.csv")
+    data, log = opened(case).fit, Log.load(case / "fit_1.csv")
     w, u, h = data.windows, log.signals["u"], 1e-3
     for i in (0, 5):
         first, back = int(w.first[i]), windows.COARSE * windows.EACH
@@ -685,7 +685,7 @@ def test_a_segment_that_begins_late_had_stood_still():
 def test_motion_under_a_command_is_never_turned(recorded):
     case = recorded(SEED)
     spec = load_rig(case / "rig.toml")
-    data = prepare([read_log(case / "fit_1.csv")], spec, sign=-1.0)
+    data = prepare([Log.load(case / "fit_1.csv")], spec, sign=-1.0)
     assert data.driven_by == "u"
     assert not runs_backward(data)
 
