@@ -8,7 +8,7 @@ report prints; it is never repeated elsewhere.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -70,20 +70,6 @@ def param(
         converter=lambda x: jnp.asarray(x, dtype=float),
         metadata={"spec": spec},
     )
-
-
-class Effect(eqx.Module):
-    """What the paper's model lacks: absent, and alive, when its strengths are zero.
-
-    `name` is what files and reports call it; `place` is where in a rig it acts;
-    `needs` what a log must have for it to show (signals, or "loadcell" for a logged
-    F); `residual_axis` the signal against which its residual stands out.
-    """
-
-    name: ClassVar[str]
-    place: ClassVar[str]
-    needs: ClassVar[tuple[str, ...]]
-    residual_axis: ClassVar[str]
 
 
 def specs(module: type[eqx.Module] | eqx.Module) -> dict[str, Spec]:

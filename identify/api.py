@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from hydrojax.effects import EFFECTS
-from hydrojax.effects.channels import QUEUE
+from hydrojax.effects.valve import QUEUE
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.estimation.fit import (
@@ -36,7 +36,8 @@ from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.summary import summarise
 from hydrojax.identify.tracing.loop import trace
 from hydrojax.identify.tracing.state import Tracing
-from hydrojax.parameters import Effect, specs
+from hydrojax.parameters import specs
+from hydrojax.plant.effect import Effect
 from hydrojax.rigfile.build import make_effects, make_rig
 from hydrojax.rigfile.edit import rewrite
 

@@ -14,10 +14,11 @@ import numpy as np
 from hydrojax.control.adaptive import Estimates, mean_area
 from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import PARTS
-from hydrojax.effects.channels import QUEUE, ValveDelay, ValveLag
+from hydrojax.effects.valve import QUEUE, ValveDelay, ValveLag
 from hydrojax.parameters import values
 from hydrojax.plant.load import Driven
-from hydrojax.plant.rig import PLACES, Rig
+from hydrojax.plant.places import PLACES
+from hydrojax.plant.rig import Rig
 
 KEPT = ("u", "P_a1", "P_a2", "F", *Estimates._fields)
 """What a peer can write at each sample, SI: the command, true pressures and force, and

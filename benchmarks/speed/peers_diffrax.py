@@ -17,7 +17,7 @@ from hydrojax.control.adaptive import Measured
 from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.loop import begin as at_rest
 from hydrojax.control.simulation import PARTS
-from hydrojax.effects.channels import ValveLag
+from hydrojax.effects.valve import ValveLag
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike
 
-from hydrojax.effects.channels import ValveLag
+from hydrojax.effects.valve import ValveLag
 from hydrojax.plant.replay import Motion, Windows
 from hydrojax.plant.rig import PARTS, Rig
 

@@ -8,14 +8,38 @@ from pathlib import Path
 from jaxtyping import Array
 
 from hydrojax.effects import registry
-from hydrojax.effects.channels import (
+from hydrojax.effects.fluid import (
+    DeadVolume,
+    EntrainedAir,
+    ExternalLeakage,
+    InternalLeakage,
+    SupplyLineDrop,
+)
+from hydrojax.effects.friction import (
+    BristleDamping,
+    FrictionalLag,
+    FrictionDrift,
+    PositionFriction,
+    PressureFriction,
+    Stribeck,
+    ViscousFriction,
+)
+from hydrojax.effects.sensors import (
     ChannelSkew,
-    CommandChannel,
     LoadcellGain,
     LoadcellLag,
     PressureSensorBias,
     PressureSensorLag,
-    SensorChannel,
+)
+from hydrojax.effects.structure import (
+    Backlash,
+    GravityLoad,
+    PayloadInertia,
+    RodCompliance,
+)
+from hydrojax.effects.valve import (
+    OrificeTransition,
+    Underlap,
     ValveBias,
     ValveDeadband,
     ValveDelay,
@@ -23,35 +47,22 @@ from hydrojax.effects.channels import (
     ValveLag,
     ValveRateLimit,
 )
-from hydrojax.effects.fluid import (
-    DeadVolume,
-    EntrainedAir,
-    ExternalLeakage,
+from hydrojax.parameters import param
+from hydrojax.plant.effect import (
+    CommandChannel,
+    ComplianceEffect,
+    Effect,
     FlowEffect,
-    InternalLeakage,
-    OrificeEffect,
-    OrificeTransition,
-    SupplyLineDrop,
-    Underlap,
-)
-from hydrojax.effects.mechanics import (
-    Backlash,
-    BristleDamping,
     ForceEffect,
-    FrictionalLag,
-    FrictionDrift,
     FrictionForce,
-    GravityLoad,
     LevelEffect,
-    PayloadInertia,
-    PositionFriction,
-    PressureFriction,
-    RodCompliance,
+    OrificeEffect,
+    SensorChannel,
+    SpeedEffect,
     StretchEffect,
-    Stribeck,
-    ViscousFriction,
+    SupplyEffect,
+    VolumeEffect,
 )
-from hydrojax.parameters import Effect, param
 
 EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect
@@ -106,6 +117,7 @@ __all__ = [
     "EFFECTS",
     "Array",
     "CommandChannel",
+    "ComplianceEffect",
     "Effect",
     "FlowEffect",
     "ForceEffect",
@@ -113,7 +125,10 @@ __all__ = [
     "LevelEffect",
     "OrificeEffect",
     "SensorChannel",
+    "SpeedEffect",
     "StretchEffect",
+    "SupplyEffect",
+    "VolumeEffect",
     "load_effects",
     "offered",
     "param",

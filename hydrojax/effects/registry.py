@@ -20,55 +20,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from hydrojax import units
-from hydrojax.effects.channels import CommandChannel, SensorChannel
-from hydrojax.effects.fluid import FlowEffect, OrificeEffect
-from hydrojax.effects.mechanics import (
-    ForceEffect,
-    FrictionForce,
-    LevelEffect,
-    StretchEffect,
-)
 from hydrojax.errors import InputError
-from hydrojax.parameters import Effect, Spec, specs
-from hydrojax.plant.chambers import Point
-from hydrojax.plant.friction import Sliding
-from hydrojax.plant.rig import PLACES
+from hydrojax.parameters import Spec, specs
+from hydrojax.plant.effect import Effect
+from hydrojax.plant.places import PLACES
 
 GROUP = "hydrojax.effects"
 """Entry points under which a package offers effects: a class, or a module of them."""
 
-METHODS = {
-    "command": "step", "orifice": "", "supply": "drop", "flow": "flow",
-    "volume": "volume", "compliance": "compliance", "stretch": "stretch",
-    "velocity": "follow", "level": "level", "friction": "force", "force": "force",
-    "sensor_P": "step", "sensor_F": "step",
-}  # fmt: skip
-"""What an effect at each place must say of itself."""
-
-ABSTRACT = (
-    Effect, CommandChannel, SensorChannel, FlowEffect, OrificeEffect, LevelEffect,
-    FrictionForce, ForceEffect, StretchEffect,
-)  # fmt: skip
-
 NEEDS = ("u", "F", "loadcell", "P_a1", "P_a2", "psi")
 """What an effect may need of a log."""
-
-# Numbers, since an array here would start JAX on import; `_try` makes arrays of them.
-_AT = Point._make((5e6, 6.5e6, 14e6, 0.25e6, (0.4, 0.1), 0.02, 0.01))
-_SLIDING = Sliding._make(
-    (7.0, 0.02, 0.004, 0.6, 5e-5, -2e-3, 3e-3, 5e6, 6.5e6, 14e6, 0.0)
-)
-_TRIAL = {
-    "flow": (_AT,),
-    "supply": (3e-9, 9e6),
-    "volume": (),
-    "compliance": (3e6,),
-    "stretch": (400.0,),
-    "level": (_SLIDING, 900.0),
-    "friction": (_SLIDING,),
-    "force": (_SLIDING,),
-}
-"""Where the pushes that add are tried, at nonzero values of everything."""
 
 
 def load_effects(
@@ -205,17 +166,18 @@ def _check(effect: Any, where: str) -> str:
     if not isinstance(name, str) or not name.isidentifier():
         refuse('has no name for files and reports: add name = "my_effect"')
     if place is None:
-        refuse(f"has no place: add place = one of {PLACES}")
+        refuse(f"has no place: add place = one of {tuple(PLACES)}")
     if place not in PLACES:
-        refuse(f"the place {place!r} is unknown: write one of {PLACES}")
+        refuse(f"the place {place!r} is unknown: write one of {tuple(PLACES)}")
     needs = getattr(effect, "needs", None)
     if not needs or isinstance(needs, str) or not set(needs) <= set(NEEDS):
         refuse(f"needs = {needs!r} will not do: write a tuple of {NEEDS}")
     if not isinstance(getattr(effect, "residual_axis", None), str):
         refuse('does not say what its residual goes with: add residual_axis = "v"')
-    method = METHODS[place]
+    method, trial = PLACES[place].method, PLACES[place].trial
     own = getattr(effect, method, None) if method else True
-    if own is None or any(own is getattr(base, method or "_", 0) for base in ABSTRACT):
+    bases = {p.base for p in PLACES.values()}
+    if own is None or any(own is getattr(base, method or "_", 0) for base in bases):
         refuse(f"at the place {place!r} it needs a method {method}(...)")
     declared = specs(effect)
     if not declared:
@@ -234,8 +196,8 @@ def _check(effect: Any, where: str) -> str:
         instance = effect()
     except Exception as err:
         refuse(f"cannot be made without arguments: {err}; give each field a default")
-    if place in _TRIAL:
-        _try(instance, method, _TRIAL[place], declared, refuse)
+    if method and trial is not None:
+        _try(instance, method, trial, declared, refuse)
     return name
 
 

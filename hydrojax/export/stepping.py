@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Array
 
 from hydrojax.control.simulation import PARTS
-from hydrojax.effects.channels import ChannelSkew, ValveDelay
 from hydrojax.plant.friction import Sliding
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import State, StepInput
@@ -43,8 +42,7 @@ class Drive(NamedTuple):
 
 def has_queue(rig: Rig) -> bool:
     """Whether something in the rig remembers so many ticks, not so much time."""
-    queues = (ValveDelay, ChannelSkew)
-    return any(isinstance(c, queues) for c in (*rig.command, *rig.sensor_F))
+    return any(c.counts_ticks for c in (*rig.command, *rig.sensor_P, *rig.sensor_F))
 
 
 def ticks_of(step: float, period: float) -> tuple[int, float]:

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from hydrojax.parameters import Spec, specs
-from hydrojax.plant.rig import HYDRAULIC, PLACES, Rig
+from hydrojax.plant.places import PLACES
+from hydrojax.plant.rig import Rig
 
 
 def _parts(rig: Rig) -> Iterable[tuple[str, int | None, str, eqx.Module]]:
@@ -42,7 +43,18 @@ def parameter_specs(rig: Rig) -> dict[str, Spec]:
 
 def hydraulic_names(rig: Rig) -> frozenset[str]:
     """Names of the parameters on which the pressures depend."""
-    return frozenset(n for n, at in _modules(rig).items() if at[0] in HYDRAULIC)
+    hydraulic = {place.name for place in PLACES.values() if place.hydraulic}
+    hydraulic |= {"lands", "chambers"}
+    return frozenset(n for n, at in _modules(rig).items() if at[0] in hydraulic)
+
+
+def gauge_names(rig: Rig) -> frozenset[str]:
+    """Names of the parameters of what the pressure sensors read, beside the pressure.
+
+    Residuals of the pressures depend on them, the pressures themselves do not.
+    """
+    gauges = {place.name for place in PLACES.values() if place.gauge}
+    return frozenset(n for n, at in _modules(rig).items() if at[0] in gauges)
 
 
 def _reach(rig: Any, at: tuple[str, int | None, str]) -> Array:

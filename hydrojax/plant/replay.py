@@ -159,7 +159,7 @@ def _sense(channels: tuple, y: Array, h: Array) -> Array:
     """A sensor's reading of `y` [W, n] along its second axis."""
     slope = (y[:, 1] - y[:, 0]) / h[:, 0]
     for channel in channels:
-        y, slope = channel.scenario(y, slope, h[:, :-1])
+        y, slope = channel.run(y, slope, h[:, :-1])
     return y
 
 

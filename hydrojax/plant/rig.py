@@ -8,37 +8,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hydrojax.parameters import Effect
 from hydrojax.plant import rod
 from hydrojax.plant.chambers import Chambers, Lands, Point, sides
+from hydrojax.plant.effect import Effect
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import Layout
+from hydrojax.plant.places import PLACES
 from hydrojax.plant.state import State, StepInput
-
-PLACES = (
-    "command",
-    "orifice",
-    "supply",
-    "flow",
-    "volume",
-    "compliance",
-    "stretch",
-    "velocity",
-    "level",
-    "friction",
-    "force",
-    "sensor_P",
-    "sensor_F",
-)
-"""Where an effect can act, in the order of the signal path."""
-
-
-HYDRAULIC = (
-    "lands", "chambers", "command", "orifice", "supply", "flow", "volume",
-    "compliance", "stretch",
-)  # fmt: skip
-"""The parts of a rig on which the pressures depend."""
-
 
 PARTS = 4
 """Parts of a tick over which the command's path is run: within one, the spool's mean

@@ -8,8 +8,9 @@ from pathlib import Path
 import jax.numpy as jnp
 
 from hydrojax.effects import EFFECTS, offered
-from hydrojax.parameters import Effect, Spec, specs
+from hydrojax.parameters import Spec, specs
 from hydrojax.plant.chambers import Chambers, Lands
+from hydrojax.plant.effect import Effect
 from hydrojax.plant.friction import Friction
 from hydrojax.plant.named import get, put
 from hydrojax.plant.rig import Rig, add, bare_rig

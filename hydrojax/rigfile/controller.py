@@ -13,7 +13,7 @@ import numpy as np
 from hydrojax import units
 from hydrojax.control.adaptive import Estimates, Law, mean_area
 from hydrojax.control.loop import Loop, Sensors
-from hydrojax.effects.channels import QUEUE, ValveDelay
+from hydrojax.effects.valve import QUEUE, ValveDelay
 from hydrojax.errors import InputError
 from hydrojax.plant.load import Driven, Inertia
 from hydrojax.plant.rig import Rig

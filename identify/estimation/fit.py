@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.plant.named import gauge_names
 
 
 @dataclass(frozen=True)
@@ -93,8 +94,8 @@ def fit_pressures(
 ) -> tuple[Problem, np.ndarray]:
     """Fit the free parameters that the pressures see, on the pressures alone."""
     noise = only(np.asarray(problem.batch.noise), PRESSURES)
-    sensors = (n for n in problem.side(free, False) if n.startswith("pressure_sensor"))
-    names = (*problem.side(free, True), *sensors)
+    gauges = gauge_names(problem.model.rig)
+    names = (*problem.side(free, True), *(n for n in free if n in gauges))
     settled = problem.criteria.pressures_settled * np.min(noise)
     for _ in range(problem.criteria.weight_rounds):
         values, out = problem.solve(values, names, noise)

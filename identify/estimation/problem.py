@@ -20,6 +20,7 @@ from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import bucket
 from hydrojax.parameters import Spec
+from hydrojax.plant.named import gauge_names
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.schema import RigFile
 
@@ -403,10 +404,10 @@ class Problem:
 
 def in_play(problem: Problem, data: Data) -> tuple[str, ...]:
     """The free parameters that anything compared depends on."""
-    out = []
+    out, gauges = [], gauge_names(problem.model.rig)
     for name in problem.free:
         hydraulic = problem.model.names.index(name) < problem.model.hydraulic
         plays = data.driven_by == "u" if hydraulic else np.isfinite(data.noise[2])
-        if plays or (name.startswith("pressure_sensor") and data.driven_by == "u"):
+        if plays or (name in gauges and data.driven_by == "u"):
             out.append(name)
     return tuple(out)

@@ -8,7 +8,8 @@ from scipy import stats
 from hydrojax.identify.estimation.fit import Point
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.state import Tracing
-from hydrojax.parameters import Effect, specs
+from hydrojax.parameters import specs
+from hydrojax.plant.effect import Effect
 
 
 def judge(

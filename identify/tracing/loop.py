@@ -15,8 +15,8 @@ from hydrojax.identify.tracing.refit import refit
 from hydrojax.identify.tracing.score import Score, family
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
 from hydrojax.identify.tracing.state import Added, Tracing, free_names, strengths
-from hydrojax.parameters import Effect
-from hydrojax.plant.rig import HYDRAULIC
+from hydrojax.plant.effect import Effect
+from hydrojax.plant.places import place_of
 
 
 def trace(state: Tracing) -> Tracing:
@@ -28,9 +28,7 @@ def trace(state: Tracing) -> Tracing:
     """
     if state.problem.sees_pressures:
         upstream = {
-            n: e
-            for n, e in state.effects.items()
-            if e.place in HYDRAULIC or e.place == "sensor_P"
+            n: e for n, e in state.effects.items() if place_of(e).shows_in_pressures
         }
         state = _stage(state, upstream, only(state.noise, PRESSURES))
     if np.isfinite(state.noise[2]):

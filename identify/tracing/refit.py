@@ -13,7 +13,7 @@ from hydrojax.identify.tracing.judge import cost
 from hydrojax.identify.tracing.score import Score
 from hydrojax.identify.tracing.screen import nonlocal_starts, scores_of
 from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengths
-from hydrojax.parameters import Effect
+from hydrojax.plant.effect import Effect
 
 FRICTION = ("velocity", "level", "friction")
 """Places of effects that friction's own parameters stand in for."""

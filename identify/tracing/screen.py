@@ -11,7 +11,8 @@ import numpy as np
 
 from hydrojax.identify.tracing.score import Projection, Score, score
 from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengths
-from hydrojax.parameters import Effect, specs
+from hydrojax.parameters import specs
+from hydrojax.plant.effect import Effect
 
 
 def size_that_matters(state: Tracing, noise: np.ndarray) -> float:

@@ -11,7 +11,8 @@ from hydrojax.identify.estimation.fit import Point
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Score
-from hydrojax.parameters import Effect, specs
+from hydrojax.parameters import specs
+from hydrojax.plant.effect import Effect
 
 
 @dataclass(frozen=True)

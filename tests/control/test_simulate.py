@@ -19,7 +19,7 @@ from hydrojax.identify.case import open_case
 from hydrojax.logs.log import Log
 from hydrojax.paper import experiments
 from hydrojax.plant.load import Driven, Inertia
-from hydrojax.plant.rig import PLACES
+from hydrojax.plant.places import PLACES
 from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import load_rig, make_effects, make_rig
 from hydrojax.rigfile.controller import KEYS, make_loop

@@ -25,8 +25,9 @@ from hydrojax.parameters import specs
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding, run_linear
 from hydrojax.plant.named import get, parameter_specs, put
+from hydrojax.plant.places import PLACES
 from hydrojax.plant.replay import friction_memory, pressures, readings
-from hydrojax.plant.rig import PLACES, StepInput, add
+from hydrojax.plant.rig import StepInput, add
 
 SHAPES = {
     "gravity_load": {"radius": 0.085},
@@ -511,6 +512,7 @@ def test_every_effect_has_its_place_and_a_zero(name):
     effect, spec = EFFECTS[name], specs(EFFECTS[name])
     assert effect.name == name
     assert effect.place in PLACES
+    assert issubclass(effect, PLACES[effect.place].base)
     assert effect.needs and effect.residual_axis
     strengths = [s for s in spec.values() if s.strength]
     assert strengths and all(s.default == 0 for s in strengths)

@@ -7,16 +7,17 @@ import pytest
 from scipy import signal
 from scipy.integrate import solve_ivp
 
-from hydrojax.effects.channels import (
-    QUEUE,
+from hydrojax.effects import CommandChannel, SensorChannel
+from hydrojax.effects.sensors import (
     REACH,
     ChannelSkew,
-    CommandChannel,
     LoadcellGain,
     LoadcellLag,
     PressureSensorBias,
     PressureSensorLag,
-    SensorChannel,
+)
+from hydrojax.effects.valve import (
+    QUEUE,
     ValveBias,
     ValveDeadband,
     ValveDelay,
@@ -311,7 +312,7 @@ def scenario(channel, y, h=None):
     y = jnp.asarray(y)[None]
     h = jnp.full((1, y.shape[1] - 1), H) if h is None else jnp.asarray(h)[None]
     slope = (y[:, 1] - y[:, 0]) / h[:, 0]
-    return np.asarray(channel.scenario(y, slope, h)[0])[0]
+    return np.asarray(channel.run(y, slope, h)[0])[0]
 
 
 @pytest.mark.parametrize("kind", SENSOR)

@@ -1,4 +1,4 @@
-"""Effects that add in the mechanics: speed, level, friction, forces, stretch."""
+"""Effects of friction: on the Coulomb level, beside it, and on the speed it sees."""
 
 from __future__ import annotations
 
@@ -6,19 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hydrojax.parameters import Effect, param
-from hydrojax.plant.friction import Sliding
-
-
-class LevelEffect(Effect):
-    """Adds to the Coulomb level: `level(at, base) -> N`."""
-
-    place = "level"
-    needs = ("F",)
-
-    def level(self, at: Sliding, base: Array) -> Array:
-        """What is added to the Coulomb level `base` (N) of this direction."""
-        raise NotImplementedError
+from hydrojax.parameters import param
+from hydrojax.plant.effect import FrictionForce, LevelEffect, SpeedEffect
 
 
 class Stribeck(LevelEffect):
@@ -96,17 +85,6 @@ class FrictionDrift(LevelEffect):
         return base * self.a * jnp.expm1(-at.t / self.tau)
 
 
-class FrictionForce(Effect):
-    """Adds a friction force inside f_c: `force(at) -> N`."""
-
-    place = "friction"
-    needs = ("F",)
-
-    def force(self, at: Sliding) -> Array:
-        """Friction force beside the paper's f_c, N."""
-        raise NotImplementedError
-
-
 class ViscousFriction(FrictionForce):
     """Viscous friction `b v` (F1)."""
 
@@ -129,7 +107,7 @@ class BristleDamping(FrictionForce):
         return self.sigma_1 * at.z_rate
 
 
-class FrictionalLag(Effect):
+class FrictionalLag(SpeedEffect):
     """Friction that follows the speed with a lag (F4), as an oil film's thickness.
 
     All of f_c that depends on speed (k_v, Stribeck, viscous) sees the film, whose speed
@@ -138,8 +116,6 @@ class FrictionalLag(Effect):
     """
 
     name = "frictional_lag"
-    place = "velocity"
-    needs = ("F",)
     residual_axis = "a"
     tau_h: Array = param(
         "s",
@@ -162,97 +138,3 @@ class FrictionalLag(Effect):
         keep = jnp.where(absent, 0.0, jnp.exp(-h / jnp.where(absent, 1.0, self.tau_h)))
         late = self.tau_h * (now - before) / h
         return keep, now - late - keep * (before - late)
-
-
-class StretchEffect(Effect):
-    """Lets the piston stand apart from the encoder: `stretch(F) -> m`, rising with F.
-
-    Chambers and friction see the piston. In a replay the logged force drives it; in
-    simulation the plant's own.
-    """
-
-    place = "stretch"
-    needs = ("u", "loadcell")
-    residual_axis = "F"
-
-    def stretch(self, F: Array) -> Array:
-        """How far the piston stands ahead of the encoder under `F` (N), m."""
-        raise NotImplementedError
-
-
-class RodCompliance(StretchEffect):
-    """Rod and mount that give (M3): the piston stands `F/k` ahead of the encoder.
-
-    Stored as `1/k` so that absent is 0.
-    """
-
-    name = "rod_compliance"
-    give: Array = param(
-        "m/N",
-        0.0,
-        0.0,
-        1e-5,
-        "stiffness of the rod",
-        strength=True,
-        size=5e-9,
-        outside=("k", "N/m"),
-    )
-
-    def stretch(self, F):
-        return self.give * F
-
-
-class Backlash(StretchEffect):
-    """Play of width `b` between piston and load (M4): `b/2 tanh(F/F_w)`.
-
-    The play is crossed where F changes sign, over a force of about `F_w`.
-    """
-
-    name = "backlash"
-    b: Array = param("m", 0.0, 0.0, 5e-3, "width", strength=True, size=1e-5)
-    F_w: Array = param(
-        "N", 30.0, 2.0, 1e3, "force that crosses it", grid=(10.0, 30.0, 100.0)
-    )
-
-    def stretch(self, F):
-        return 0.5 * self.b * jnp.tanh(F / self.F_w)
-
-
-class ForceEffect(Effect):
-    """Adds a force between piston and load cell: `force(at) -> N`."""
-
-    place = "force"
-    needs = ("F",)
-
-    def force(self, at: Sliding) -> Array:
-        """Force added to what the load cell feels, N."""
-        raise NotImplementedError
-
-
-class PayloadInertia(ForceEffect):
-    """Mass between piston and load cell (M1): `-m a`."""
-
-    name = "payload_inertia"
-    residual_axis = "a"
-    m: Array = param("kg", 0.0, 0.0, 1e5, "mass", strength=True, size=5.0)
-
-    def force(self, at):
-        return -self.m * at.a
-
-
-class GravityLoad(ForceEffect):
-    """Weight of that mass about the joint (M2): `w sin(psi + psi_0)`.
-
-    Stored as `w_s = w cos(psi_0)` and `w_c = w sin(psi_0)`, which are linear.
-    """
-
-    name = "gravity_load"
-    needs = ("F", "psi")
-    residual_axis = "psi"
-    radius: Array = eqx.field(default=1.0, converter=lambda x: jnp.asarray(x, float))
-    w_s: Array = param("N", 0.0, -1e6, 1e6, "w cos(psi_0)", strength=True, size=50.0)
-    w_c: Array = param("N", 0.0, -1e6, 1e6, "w sin(psi_0)", strength=True, size=50.0)
-
-    def force(self, at):
-        psi = at.x / self.radius
-        return self.w_s * jnp.sin(psi) + self.w_c * jnp.cos(psi)

@@ -1,0 +1,148 @@
+"""Effects of the sensors: lags, gains, biases and skew of what is logged."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hydrojax.parameters import param
+from hydrojax.plant.effect import SensorChannel
+
+
+class _Lag(SensorChannel):
+    """First-order lag of a signal that is linear over each tick, exact."""
+
+    def lag(self) -> Array:
+        """The time constant, s."""
+        raise NotImplementedError
+
+    def init(self, y, slope):
+        out = y - self.lag() * slope
+        return (y, out), out, slope
+
+    def step(self, memory, y, h):
+        before, out = memory
+        tau = self.lag()
+        absent = tau <= 0
+        fade = jnp.where(absent, 0.0, jnp.exp(-h / jnp.where(absent, 1.0, tau)))
+        drag = tau * (y - before) / h
+        out = y - drag + (out - before + drag) * fade
+        return (y, out), out
+
+
+class LoadcellLag(_Lag):
+    """First-order lag of the load cell (S1)."""
+
+    name = "loadcell_lag"
+    place = "sensor_F"
+    needs = ("loadcell",)
+    residual_axis = "F_rate"
+    tau_F: Array = param("s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4)
+
+    def lag(self):
+        return self.tau_F
+
+
+class LoadcellGain(SensorChannel):
+    """Gain error of the load cell (S3): `F_m = (1 + eps) F`."""
+
+    name = "loadcell_gain"
+    place = "sensor_F"
+    needs = ("loadcell",)
+    residual_axis = "F"
+    eps: Array = param("1", 0.0, -0.5, 0.5, "gain error", strength=True, size=0.01)
+
+    def init(self, y, slope):
+        return (), (1 + self.eps) * y, (1 + self.eps) * slope
+
+    def step(self, memory, y, h):
+        return memory, (1 + self.eps) * y
+
+
+class PressureSensorLag(_Lag):
+    """First-order lag of both pressure sensors (S5)."""
+
+    name = "pressure_sensor_lag"
+    place = "sensor_P"
+    needs = ("u", "P_a1", "P_a2")
+    residual_axis = "P_rate"
+    tau_P: Array = param("s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4)
+
+    def lag(self):
+        return self.tau_P
+
+
+class _Offset(SensorChannel):
+    """A reading that is off by a constant."""
+
+    b: Array
+
+    def init(self, y, slope):
+        return (), y + self.b, slope
+
+    def step(self, memory, y, h):
+        return memory, y + self.b
+
+
+class PressureSensorBias(SensorChannel):
+    """Constant error of each pressure sensor (S4): `P_m = P + b`.
+
+    A bias shifts the drive force as `k_0` does and the flows hardly, so few logs tell
+    it from the base model's own parameters.
+    """
+
+    name = "pressure_sensor_bias"
+    place = "sensor_P"
+    needs = ("u", "P_a1", "P_a2")
+    residual_axis = "P_a1 + P_a2"
+    b_1: Array = param("Pa", 0.0, -2e6, 2e6, "bias of P_a1", strength=True, size=5e4)
+    b_2: Array = param("Pa", 0.0, -2e6, 2e6, "bias of P_a2", strength=True, size=5e4)
+
+    def of_chamber(self, i):
+        return _Offset((self.b_1, self.b_2)[i])
+
+
+REACH = 16
+"""Ticks that a late channel can reach back."""
+
+
+class ChannelSkew(SensorChannel):
+    """Force that is logged out of step with the other channels (S8): `F(t + tau_s)`.
+
+    `tau_s` > 0: the reading is ahead of its time; < 0: it is late. Between ticks the
+    force runs straight, as it nearly does under a held command. A replay knows what
+    comes, but for a window's last ticks; a plant that steps does not, and takes what is
+    early along the line of the last tick: right up to about a tick.
+    """
+
+    name = "channel_skew"
+    place = "sensor_F"
+    needs = ("loadcell",)
+    residual_axis = "F_rate"
+    counts_ticks = True
+    tau_s: Array = param(
+        "s", 0.0, -3e-3, 3e-3, "F logged ahead of its time", strength=True, size=2e-4
+    )
+
+    def init(self, y, slope):
+        past = jnp.broadcast_to(y[..., None], (*jnp.shape(y), REACH))
+        return past, y + self.tau_s * slope, slope
+
+    def step(self, memory, y, h):
+        memory = jnp.concatenate([y[..., None], memory[..., :-1]], axis=-1)
+        late = jnp.minimum(jnp.broadcast_to(-self.tau_s / h, y.shape), REACH - 1)
+        whole = jnp.clip(jnp.floor(late), 0, REACH - 2).astype(int)[..., None]
+        newer = jnp.take_along_axis(memory, whole, axis=-1)[..., 0]
+        older = jnp.take_along_axis(memory, whole + 1, axis=-1)[..., 0]
+        return memory, newer + (late - whole[..., 0]) * (older - newer)
+
+    def run(self, y, slope, h):
+        t = jnp.pad(jnp.cumsum(h, axis=1), ((0, 0), (1, 0)))
+        return jax.vmap(_along_lines)(y, t, t + self.tau_s), slope
+
+
+def _along_lines(y: Array, t: Array, at: Array) -> Array:
+    """`y` [n] at the times `t`, read `at` others along lines, also beyond its ends."""
+    i = jnp.clip(jnp.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
+    return y[i] + (at - t[i]) * (y[i + 1] - y[i]) / (t[i + 1] - t[i])

@@ -1,0 +1,211 @@
+"""Effects of the valve: on the command's path to the spool, and on its edges."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hydrojax.parameters import param
+from hydrojax.plant.effect import CommandChannel, OrificeEffect
+
+QUEUE = 16
+"""Ticks of command that a delay holds: it reaches back one less, 15 ms at 1 kHz."""
+
+
+class ValveDelay(CommandChannel):
+    """`u(t - tau_u)` of a held command (V13); exact for the mean over a step.
+
+    It is first on the command's path, where the command is the same in all parts of a
+    tick: so it needs to remember ticks only, and what the others make of a command
+    they make of a late one.
+    """
+
+    name = "valve_delay"
+    residual_axis = "u_rate"
+    counts_ticks = True
+    tau_u: Array = param(
+        "s", 0.0, 0.0, 0.011, "command delay", strength=True, size=1e-3
+    )
+
+    def init(self, u):
+        return jnp.broadcast_to(u[..., None], (*jnp.shape(u), QUEUE))
+
+    def step(self, memory, u, h):
+        memory, (u,) = self.parts(memory, [u], h)
+        return memory, u
+
+    def parts(self, memory, us, h):
+        u, n = us[0], len(us)
+        memory = jnp.concatenate([u[..., None], memory[..., :-1]], axis=-1)
+        # No further back than the queue: a longer delay reads its oldest command.
+        steps = jnp.minimum(jnp.broadcast_to(self.tau_u / h, u.shape), n * (QUEUE - 1))
+        whole = jnp.floor(steps)
+        share = (steps - whole)[..., None]
+        # Each part is a mean of two held commands, its own and the one a part older.
+        back = jnp.arange(n, -1, -1) + whole[..., None].astype(int)
+        held = jnp.take_along_axis(memory, jnp.minimum(back // n, QUEUE - 1), axis=-1)
+        mean = held[..., 1:] + share * (held[..., :-1] - held[..., 1:])
+        return memory, [mean[..., i] for i in range(n)]
+
+
+class ValveBias(CommandChannel):
+    """`u + u_0` (V6)."""
+
+    name = "valve_bias"
+    u_0: Array = param("{u}", 0.0, -3.0, 3.0, "null bias", strength=True, size=0.05)
+
+    def step(self, memory, u, h):
+        return memory, u + self.u_0
+
+
+class ValveHysteresis(CommandChannel):
+    """Play of half-width `u_h` (V7): the output moves only when pushed."""
+
+    name = "valve_hysteresis"
+    residual_axis = "u_rate"
+    u_h: Array = param(
+        "{u}", 0.0, 0.0, 2.0, "half-width of the play", strength=True, size=0.05
+    )
+
+    def init(self, u):
+        return u
+
+    def step(self, memory, u, h):
+        # Where nothing pushes the memory stays, its derivative with it: at u_h = 0
+        # that is the one-sided derivative, which a clip would halve.
+        lag = memory - u
+        stay = jnp.where(lag < -self.u_h, u - self.u_h, memory)
+        out = jnp.where(lag > self.u_h, u + self.u_h, stay)
+        return out, out
+
+
+class ValveRateLimit(CommandChannel):
+    """Spool that moves no faster than `r_v` (V2); exact for the mean over a step.
+
+    Stored as `slew = 1/r_v` so that absent is 0: under a held command the spool runs
+    along a ramp, and the area it loses, `slew du abs(du) / 2`, is linear in `slew`.
+    """
+
+    name = "valve_rate_limit"
+    residual_axis = "u_rate"
+    slew: Array = param(
+        "s/{u}",
+        0.0,
+        0.0,
+        0.2,
+        "largest rate of the spool",
+        strength=True,
+        size=2e-3,
+        grid=(1e-2,),
+        outside=("r_v", "{u}/s"),
+    )
+
+    def init(self, u):
+        return u
+
+    def step(self, memory, u, h):
+        gap = u - memory
+        size = jnp.abs(gap)
+        need = self.slew * size  # seconds to get there
+        late = need > h
+        slew = jnp.where(late, self.slew, 1.0)
+        way = jnp.where(gap < 0, -1.0, 1.0) * h / slew
+        end = jnp.where(late, memory + way, u)
+        ramp = u - 0.5 * gap * need / h
+        return end, jnp.where(late, memory + way / 2, ramp)
+
+
+class ValveLag(CommandChannel):
+    """Second-order spool (V1), exact for a held command and averaged over the tick.
+
+    Stored as `tau = 1/omega` so that absent is 0. The mean over the tick keeps the
+    derivative alive there, which the value at the tick's end would not. `zeta` is
+    taken up to 1: a slower spool than critical is seen as critical.
+    """
+
+    name = "valve_lag"
+    residual_axis = "u_rate"
+    tau: Array = param(
+        "s",
+        0.0,
+        0.0,
+        0.05,
+        "spool natural frequency",
+        strength=True,
+        size=5e-4,
+        outside=("omega", "rad/s"),
+    )
+    zeta: Array = param("1", 0.7, 0.2, 0.99, "spool damping ratio", prior=0.2)
+
+    def init(self, u):
+        return u, jnp.zeros_like(u)
+
+    def step(self, memory, u, h):
+        y, rate = memory  # the spool's place, and its rate times tau
+        off = y - u
+        absent = self.tau <= 0
+        s = h / jnp.where(absent, 1.0, self.tau)
+        zeta = jnp.clip(self.zeta, 0.0, 0.999)
+        w = jnp.sqrt(1 - zeta**2)
+        fade = jnp.where(absent, 0.0, jnp.exp(-zeta * s))
+        cos, sin = fade * jnp.cos(w * s), fade * jnp.sin(w * s) / w
+        off_new = (cos + zeta * sin) * off + sin * rate
+        rate_new = -sin * off + (cos - zeta * sin) * rate
+        # Integral of the offset over the tick, from A^-1 (e^{Ah} - 1).
+        area = self.tau * (2 * zeta * (off - off_new) + (rate - rate_new))
+        return (u + off_new, rate_new), u + area / h
+
+
+class ValveDeadband(CommandChannel):
+    """Overlap of the lands (V4), a width of its own on each side."""
+
+    name = "valve_deadband"
+    u_dbp: Array = param(
+        "{u}", 0.0, 0.0, 5.0, "overlap, u > 0", strength=True, size=0.05
+    )
+    u_dbn: Array = param(
+        "{u}", 0.0, 0.0, 5.0, "overlap, u < 0", strength=True, size=0.05
+    )
+
+    def step(self, memory, u, h):
+        up = jnp.where(u > self.u_dbp, u - self.u_dbp, 0.0)
+        return memory, up + jnp.where(u < -self.u_dbn, u + self.u_dbn, 0.0)
+
+
+class OrificeTransition(OrificeEffect):
+    """Laminar flow below a pressure drop `dP_t` (V10).
+
+    The flow lacks `(dP_t / drop)^2 / 4` of the turbulent one: it depends on the square,
+    which is what is stored, for the derivative to `dP_t` itself dies at zero.
+    """
+
+    name = "orifice_transition"
+    residual_axis = "P_a1 - P_a2"
+    dP_t2: Array = param(
+        "Pa^2", 0.0, 0.0, 1e14, "square of dP_t", strength=True, size=2.5e11
+    )
+
+    def core(self):
+        return self.dP_t2
+
+
+class Underlap(OrificeEffect):
+    """Edges that are still open by `u_ul` when the spool stands at zero (V5).
+
+    A step over which the spool changes sign is taken at its mean.
+    """
+
+    name = "underlap"
+    residual_axis = "u"
+    u_ul: Array = param(
+        "{u}", 0.0, 0.0, 5.0, "opening at zero", strength=True, size=0.05
+    )
+
+    def opening(self, spool):
+        def more(u):
+            # At the edge of being shut it opens: the one-sided derivative at zero.
+            return jnp.where(u + self.u_ul >= 0, u + self.u_ul, 0.0) - jnp.where(
+                u >= 0, u, 0.0
+            )
+
+        return more(spool), more(-spool)

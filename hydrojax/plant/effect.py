@@ -1,0 +1,218 @@
+"""What an effect is at each place of a rig: the base classes to derive from.
+
+An effect adds to the paper's model what a rig has beside it. Where in the rig it acts
+decides what it must compute; `hydrojax.plant.places` lists the places.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hydrojax.plant.chambers import Point
+from hydrojax.plant.friction import Sliding
+
+
+class Effect(eqx.Module):
+    """What the paper's model lacks: absent, and alive, when its strengths are zero.
+
+    `name` is what files and reports call it; `place` is where in a rig it acts;
+    `needs` what a log must have for it to show (signals, or "loadcell" for a logged
+    F); `residual_axis` the signal against which its residual stands out.
+    """
+
+    name: ClassVar[str]
+    place: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]]
+    residual_axis: ClassVar[str]
+
+
+class CommandChannel(Effect):
+    """A channel on the valve command: `init(u) -> memory`, `step(memory, u, h)`."""
+
+    place = "command"
+    needs = ("u",)
+    residual_axis = "u"
+    counts_ticks: ClassVar[bool] = False
+    """Whether its memory counts ticks, so that all must have one length."""
+
+    def init(self, u: Array) -> Any:
+        """Memory at rest under the command `u`."""
+        return ()
+
+    def step(self, memory, u: Array, h: Array):
+        """One step of length `h`: new memory and the mean of the output over it."""
+        raise NotImplementedError
+
+    def parts(self, memory, us: list[Array], h: Array):
+        """A tick cut into steps of length `h`: new memory, and each step's mean."""
+        out = []
+        for u in us:
+            memory, u = self.step(memory, u, h)
+            out.append(u)
+        return memory, out
+
+
+class OrificeEffect(Effect):
+    """Changes the valve's four edges: how far they open, how laminar they are.
+
+    `opening(spool) -> (open_p, open_n)` is added to the openings toward either side,
+    `core() -> Pa^2` to the square of the laminar core.
+    """
+
+    place = "orifice"
+    needs = ("u",)
+
+    def opening(self, spool: Array) -> tuple[Array | float, Array | float]:
+        """What is added to the openings when the spool stands at `spool`."""
+        return 0.0, 0.0
+
+    def core(self) -> Array | float:
+        """What is added to the square of the laminar core, Pa^2."""
+        return 0.0
+
+
+class SupplyEffect(Effect):
+    """A pressure drop ahead of the valve: `drop(conductance, available) -> Pa`."""
+
+    place = "supply"
+    needs = ("u",)
+
+    def drop(self, conductance: Array, available: Array) -> Array:
+        """Pressure lost when `conductance sqrt(.)` draws on `available`, Pa."""
+        raise NotImplementedError
+
+
+class FlowEffect(Effect):
+    """Adds flows into the two chambers: `flow(at) -> (q_1, q_2)`, m^3/s."""
+
+    place = "flow"
+    needs = ("u",)
+
+    def flow(self, at: Point) -> tuple[Array, Array]:
+        """Flows into chambers 1 and 2 at a point, m^3/s."""
+        raise NotImplementedError
+
+
+class VolumeEffect(Effect):
+    """Adds to what the chambers hold: `volume() -> (V_1, V_2)`, m^3."""
+
+    place = "volume"
+    needs = ("u",)
+
+    def volume(self) -> tuple[Array, Array]:
+        """Volume beside the stroke of chambers 1 and 2, m^3."""
+        raise NotImplementedError
+
+
+class ComplianceEffect(Effect):
+    """Adds compliance of the fluid beside 1/beta: `compliance(P) -> 1/Pa`."""
+
+    place = "compliance"
+    needs = ("u",)
+
+    def compliance(self, P: Array) -> Array:
+        """Compliance beside 1/beta at gauge pressure `P`, 1/Pa."""
+        raise NotImplementedError
+
+
+class StretchEffect(Effect):
+    """Lets the piston stand apart from the encoder: `stretch(F) -> m`, rising with F.
+
+    Chambers and friction see the piston. In a replay the logged force drives it; in
+    simulation the plant's own.
+    """
+
+    place = "stretch"
+    needs = ("u", "loadcell")
+    residual_axis = "F"
+
+    def stretch(self, F: Array) -> Array:
+        """How far the piston stands ahead of the encoder under `F` (N), m."""
+        raise NotImplementedError
+
+
+class SpeedEffect(Effect):
+    """A speed that friction sees in place of `abs(v)`: `follow(before, now, h)`."""
+
+    place = "velocity"
+    needs = ("F",)
+
+    def follow(self, before: Array, now: Array, h: Array) -> tuple[Array, Array]:
+        """The step of the speed that friction sees as `w -> keep w + add`, m/s.
+
+        The speed (m/s) goes from `before` to `now` within `h` seconds.
+        """
+        raise NotImplementedError
+
+
+class LevelEffect(Effect):
+    """Adds to the Coulomb level: `level(at, base) -> N`."""
+
+    place = "level"
+    needs = ("F",)
+
+    def level(self, at: Sliding, base: Array) -> Array:
+        """What is added to the Coulomb level `base` (N) of this direction."""
+        raise NotImplementedError
+
+
+class FrictionForce(Effect):
+    """Adds a friction force inside f_c: `force(at) -> N`."""
+
+    place = "friction"
+    needs = ("F",)
+
+    def force(self, at: Sliding) -> Array:
+        """Friction force beside the paper's f_c, N."""
+        raise NotImplementedError
+
+
+class ForceEffect(Effect):
+    """Adds a force between piston and load cell: `force(at) -> N`."""
+
+    place = "force"
+    needs = ("F",)
+
+    def force(self, at: Sliding) -> Array:
+        """Force added to what the load cell feels, N."""
+        raise NotImplementedError
+
+
+class SensorChannel(Effect):
+    """A channel on a sensor: `init(y, slope)`, `step(memory, y, h)`.
+
+    A channel at `sensor_P` stands on both gauges; where they differ, `of_chamber`
+    says which channel a gauge has.
+    """
+
+    counts_ticks: ClassVar[bool] = False
+    """Whether its memory counts ticks, so that all must have one length."""
+
+    def of_chamber(self, i: int) -> SensorChannel:
+        """This channel as the gauge of chamber 1 (`i` = 0) or 2 (`i` = 1) has it."""
+        return self
+
+    def init(self, y: Array, slope: Array) -> tuple[Any, Array, Array]:
+        """Memory, reading and the reading's slope after a long run along a line."""
+        return (), y, slope
+
+    def step(self, memory, y: Array, h: Array):
+        """One tick of length `h` at whose end the signal is `y`: memory, reading."""
+        raise NotImplementedError
+
+    def run(self, y: Array, slope: Array, h: Array) -> tuple[Array, Array]:
+        """Readings of a known signal `y` [W, n], from the first tick on.
+
+        `slope` [W] is how it ran before, `h` [W, n-1] the ticks. Returns the readings
+        and how they ran before.
+        """
+        memory, first, slope = self.init(y[:, 0], slope)
+        _, rest = jax.lax.scan(
+            lambda m, tick: self.step(m, *tick), memory, (y[:, 1:].T, h.T)
+        )
+        return jnp.concatenate([first[:, None], rest.T], axis=1), slope

@@ -1,0 +1,88 @@
+"""The places of a rig at which an effect can act: one table, in signal-path order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from hydrojax.plant.chambers import Point
+from hydrojax.plant.effect import (
+    CommandChannel,
+    ComplianceEffect,
+    Effect,
+    FlowEffect,
+    ForceEffect,
+    FrictionForce,
+    LevelEffect,
+    OrificeEffect,
+    SensorChannel,
+    SpeedEffect,
+    StretchEffect,
+    SupplyEffect,
+    VolumeEffect,
+)
+from hydrojax.plant.friction import Sliding
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place of a rig at which effects act.
+
+    Attributes:
+        name: the attribute of `Rig` that holds the effects, and what an effect's
+            `place` says.
+        base: the class from which effects at this place derive.
+        method: what an effect there must define, or None if each of the base's methods
+            has a default.
+        trial: arguments of `method` at which a user's effect is tried, SI, with nonzero
+            values of everything; None where a call alone shows nothing.
+        hydraulic: whether the chamber pressures depend on the effect.
+        gauge: whether the effect changes what the pressure sensors read.
+    """
+
+    name: str
+    base: type[Effect]
+    method: str | None
+    trial: tuple | None = None
+    hydraulic: bool = False
+    gauge: bool = False
+
+    @property
+    def shows_in_pressures(self) -> bool:
+        """Whether logged chamber pressures depend on an effect at this place."""
+        return self.hydraulic or self.gauge
+
+
+# Numbers, since an array here would start JAX on import.
+_AT = Point._make((5e6, 6.5e6, 14e6, 0.25e6, (0.4, 0.1), 0.02, 0.01))
+_SLIDING = Sliding._make(
+    (7.0, 0.02, 0.004, 0.6, 5e-5, -2e-3, 3e-3, 5e6, 6.5e6, 14e6, 0.0)
+)
+
+PLACES: Mapping[str, Place] = MappingProxyType(
+    {
+        place.name: place
+        for place in (
+            Place("command", CommandChannel, "step", hydraulic=True),
+            Place("orifice", OrificeEffect, None, hydraulic=True),
+            Place("supply", SupplyEffect, "drop", (3e-9, 9e6), hydraulic=True),
+            Place("flow", FlowEffect, "flow", (_AT,), hydraulic=True),
+            Place("volume", VolumeEffect, "volume", (), hydraulic=True),
+            Place("compliance", ComplianceEffect, "compliance", (3e6,), hydraulic=True),
+            Place("stretch", StretchEffect, "stretch", (400.0,), hydraulic=True),
+            Place("velocity", SpeedEffect, "follow"),
+            Place("level", LevelEffect, "level", (_SLIDING, 900.0)),
+            Place("friction", FrictionForce, "force", (_SLIDING,)),
+            Place("force", ForceEffect, "force", (_SLIDING,)),
+            Place("sensor_P", SensorChannel, "step", gauge=True),
+            Place("sensor_F", SensorChannel, "step"),
+        )
+    }
+)
+"""Where an effect can act, by name, in the order of the signal path."""
+
+
+def place_of(effect: Effect | type[Effect]) -> Place:
+    """The place at which an effect acts."""
+    return PLACES[effect.place]
