@@ -41,15 +41,15 @@ def make_logs(folder: Path, count: int, lengths: int) -> Path:
     table = folder / f"jobs_{count}_{lengths}.csv"
     if table.exists():
         return table
-    import equinox as eqx
 
     from hydrojax.control import simulation
+    from hydrojax.paper import experiments
     from hydrojax.rigfile import recording
-    from hydrojax.rigfile.build import load_rig, make_effects, make_rig
-    from hydrojax.rigfile.controller import make_loop
+    from hydrojax.rigfile.build import build_loop
+    from hydrojax.rigfile.schema import RigFile
 
     set_up_jax(user_cache())
-    source = Path(simulation.__file__).parent / "reference" / "rig.toml"
+    source = Path(experiments.__file__).parent / "reference.toml"
     folder.mkdir(parents=True, exist_ok=True)
     declared = re.sub(r'^(\w+) = "(\S+)(.*)"$', _ranged, source.read_text(), flags=re.M)
     (folder / "rig.toml").write_text(declared)
@@ -61,10 +61,8 @@ def make_logs(folder: Path, count: int, lengths: int) -> Path:
         text = source.read_text().replace('"8.5e8 Pa"', f'"{beta:.6g} Pa"')
         own = folder / "truth.toml"
         own.write_text(text)
-        spec = load_rig(own)
-        loop = make_loop(spec, None, {})
-        effects = make_effects(spec.effects, spec, (-0.05, 0.05))
-        loop = eqx.tree_at(lambda lo: lo.rig, loop, make_rig(spec, effects))
+        spec = RigFile.load(own)
+        loop = build_loop(spec, None, {})
         scenario = recording.read_scenario(spec, loop, seconds=2 * SECONDS[1], seed=i)
         columns = recording.columns(simulation.simulate(loop, scenario), spec)
         rows_of = {n: y for n, (_, y) in columns.items()}

@@ -44,7 +44,7 @@ def sweep(
     processor.
     """
     shutil.rmtree(out, ignore_errors=True)
-    rig = Path(hydrojax.__file__).parent / "reference" / "rig.toml"
+    rig = Path(hydrojax.__file__).parent / "paper" / "reference.toml"
     axes = [f"k_p=0.2:4:{side}", f"k_f=0.2:6:{side}"]
     words = ["sweep", str(rig), "--over", *axes, "--out", str(out), *more]
     began = time.perf_counter()
@@ -112,14 +112,14 @@ def side_by_side(folder: Path, count: int = 6) -> None:
     from hydrojax.identify.estimation import problem as fits
     from hydrojax.identify.estimation.columns import basis
     from hydrojax.identify.estimation.solve import minimise
-    from hydrojax.rigfile.build import make_effects, make_rig
+    from hydrojax.rigfile.build import build_rig
 
     make_logs(folder, 4 * count, 4)
     logs = sorted(folder.glob("fit_*.parquet"))
     cases = [open_case(folder / "rig.toml", [log]) for log in logs]
     spec = cases[0].spec
     free = fits.free_parameters(spec)
-    rig = make_rig(spec, make_effects(spec.effects, spec, cases[0].fit.travel))
+    rig = build_rig(spec)
     made = [fits.Problem.of(rig, free, case.fit) for case in cases]
     one, names = made[0], tuple(free)
     directions = basis(one.model, names, one.slots(names))

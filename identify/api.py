@@ -38,7 +38,7 @@ from hydrojax.identify.tracing.loop import trace
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
-from hydrojax.rigfile.build import make_effects, make_rig
+from hydrojax.rigfile.build import build_rig, effects_of
 from hydrojax.rigfile.edit import rewrite
 
 Progress = Callable[[str], None]
@@ -64,9 +64,8 @@ def _problems(
     case: Case, candidates: Sequence[str]
 ) -> tuple[Problem, Problem, tuple[str, ...], dict[str, Effect]]:
     """Problems on both sets of logs, the free parameters, the candidates' modules."""
-    names = (*case.spec.effects, *candidates)
-    effects = make_effects(names, case.spec, case.fit.travel)
-    rig = make_rig(case.spec, effects)
+    effects = effects_of(candidates, case.spec)
+    rig = build_rig(case.spec, candidates)
     free = free_parameters(case.spec)
     known = dict(free)
     for name in candidates:
@@ -79,8 +78,7 @@ def _problems(
     problem = Problem.of(rig, free, case.fit, case.criteria)
     check = Problem.of(rig, free, case.check, case.criteria)
     use = in_play(problem, case.fit)
-    dormant = {n: e for n, e in effects.items() if n in candidates}
-    return replace(problem, free=known), check, use, dormant
+    return replace(problem, free=known), check, use, effects
 
 
 def _fit_base(
@@ -259,9 +257,7 @@ def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
         return ()
     added = tuple(a.name for a in state.added)
     log = case.check_logs[0]
-    done = check_loop(
-        case.spec, log, state.named, added, case.fit.travel, case.criteria
-    )
+    done = check_loop(case.spec, log, state.named, added, case.criteria)
     return (done,) if done else ()
 
 
@@ -281,7 +277,6 @@ def _outcome(command, case, state, base, began, compiled, progress, profile) -> 
             case.spec,
             state.named,
             [a.name for a in state.added],
-            travel=case.fit.travel,
         ),
     )
     total = time.perf_counter() - began

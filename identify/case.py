@@ -19,7 +19,7 @@ from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import make_room
 from hydrojax.logs.log import Log
 from hydrojax.parameters import specs
-from hydrojax.rigfile.build import load_rig
+from hydrojax.rigfile.build import over_travel
 from hydrojax.rigfile.schema import RigFile
 
 
@@ -58,7 +58,7 @@ def open_case(
             'jax.config.update("jax_enable_x64", True)'
         )
     make_room()
-    spec = load_rig(rig)
+    spec = RigFile.load(rig)
     if not logs:
         raise InputError(f"{rig}: no log to fit: name at least one")
     fitted = tuple(Log.load(path, spec.channels) for path in logs)
@@ -104,6 +104,7 @@ def open_case(
             "rig's sign (P pushes toward positive v), so it was turned round; say so "
             "in the rig file with invert = true under [channels]",
         )
+    spec = over_travel(spec, fit.travel)
     check = ready(others, fit.noise, sign) if others else fit
     said = (*notes, *fit.notes, *check.notes)
     fit = replace(fit, notes=tuple(dict.fromkeys(said)))

@@ -31,8 +31,7 @@ from hydrojax.parameters import specs
 from hydrojax.plant.load import EnvironmentMotion
 from hydrojax.plant.named import parameter_specs
 from hydrojax.plant.replay import Motion, Windows
-from hydrojax.rigfile.build import make_effects, make_rig
-from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.build import build_loop, build_rig, over_travel
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.units import with_command
 
@@ -354,9 +353,8 @@ def _question(
             f"{spec.path}: [sensors] lacks the noise of {', '.join(sorted(lacking))}: "
             "what a log would tell depends on it"
         )
-    travel = (-limits.travel, limits.travel)
-    effects = make_effects((*spec.effects, *separate), spec, travel)
-    rig = make_rig(spec, effects)
+    spec = over_travel(spec, (-limits.travel, limits.travel))
+    rig = build_rig(spec, separate)
     model = Model.of(rig)
     wanted = tuple(free)
     if separate:
@@ -366,7 +364,7 @@ def _question(
             for field, s in specs(EFFECTS[name]).items()
             if s.strength
         )
-    loop = make_loop(spec, make_rig(spec, make_effects(spec.effects, spec, travel)))
+    loop = build_loop(spec, build_rig(spec))
     names = tuple(dict.fromkeys((*free, *wanted)))
     q = _Question(
         model,

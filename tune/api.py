@@ -15,7 +15,7 @@ import numpy as np
 from hydrojax.errors import InputError
 from hydrojax.plant.load import Inertia
 from hydrojax.plant.named import parameter_specs, put
-from hydrojax.rigfile.build import load_rig, make_effects, make_rig
+from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.controller import KEYS
 from hydrojax.rigfile.quantities import (
     Quantity,
@@ -70,7 +70,7 @@ def tune(
     progress("read the rig")
     folder = source if source.is_dir() else None
     path = _rig_file(source, rig)
-    spec = load_rig(path)
+    spec = RigFile.load(path)
     report = _report(folder) if folder else {}
     named = _effects(report)
     setting = open_setting(spec, None, (*named, *(w.partition("=")[0] for w in at)))
@@ -217,8 +217,7 @@ def _promises(
     old_spec = replace(
         spec, effects={n: e for n, e in spec.effects.items() if n not in named}
     )
-    effects = make_effects(old_spec.effects, old_spec, (-0.1, 0.1))
-    rig = make_rig(old_spec, effects)
+    rig = build_rig(old_spec)
     here = goal.at(None)
     values = parameter_specs(rig)
     from hydrojax.plant.named import get

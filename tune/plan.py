@@ -8,7 +8,6 @@ from pathlib import Path
 import xarray as xr
 
 from hydrojax.errors import InputError
-from hydrojax.rigfile.build import load_rig
 from hydrojax.rigfile.quantities import (
     Quantity,
     Setting,
@@ -42,7 +41,7 @@ def open_rig(
     Raises:
         InputError: the file, a name or a value that will not do.
     """
-    spec = load_rig(path)
+    spec = RigFile.load(path)
     named = [word.partition("=")[0].strip() for word in (*at, *over)]
     setting = open_setting(spec, gains, named)
     known = quantities(spec, setting)

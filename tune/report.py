@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from hydrojax.report import page
 from hydrojax.report.files import write_all
 from hydrojax.rigfile import edit
-from hydrojax.rigfile.build import load_rig
+from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune.result import Tuned
 from hydrojax.tune.tuned import (
     bode_figure,
@@ -76,7 +76,7 @@ def write(t: Tuned, rig: Path, out: Path) -> None:
 
 def with_gains(rig: Path, gains: Mapping[str, float], units: Mapping[str, str]) -> str:
     """A rig file's text with other gains, all else, comments too, as it was."""
-    spec = load_rig(rig)
+    spec = RigFile.load(rig)
     keys: dict[str, Any] = {}
     for name, value in gains.items():
         written = edit.text(value, units[name])

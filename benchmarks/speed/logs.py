@@ -32,20 +32,20 @@ def write_case(folder: str | Path, seconds: float) -> None:
     from hydrojax.control import simulation
     from hydrojax.plant.named import get
     from hydrojax.rigfile import recording
-    from hydrojax.rigfile.build import load_rig
-    from hydrojax.rigfile.controller import make_loop
+    from hydrojax.rigfile.build import build_loop
+    from hydrojax.rigfile.schema import RigFile
 
     from .replays import NAMES
 
-    file = resources.files("hydrojax") / "reference" / "rig.toml"
+    file = resources.files("hydrojax") / "paper" / "reference.toml"
     text = re.sub(r"\n\[effects.valve_delay\].*?(?=\n\[)", "", file.read_text("utf-8"),
                   flags=re.S)  # fmt: skip
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     rig = folder / "rig.toml"
     rig.write_text(text, encoding="utf-8")
-    spec = load_rig(rig)
-    loop = make_loop(spec)
+    spec = RigFile.load(rig)
+    loop = build_loop(spec)
     truth = np.asarray(get(loop.rig, NAMES))
     still = [loop.sensors.P_a1, loop.sensors.P_a2, loop.sensors.P_s, loop.sensors.F]
     loop = eqx.tree_at(
@@ -136,11 +136,10 @@ def problem(folder: str) -> Any:
     import jax.numpy as jnp
 
     from hydrojax.identify.estimation.problem import Problem, free_parameters
-    from hydrojax.rigfile.build import make_effects, make_rig
+    from hydrojax.rigfile.build import build_rig
 
     case = opened(folder)
-    effects = make_effects(case.spec.effects, case.spec, case.fit.travel)
-    rig = make_rig(case.spec, effects)
+    rig = build_rig(case.spec)
     made = Problem.of(rig, free_parameters(case.spec), case.fit)
     starts = Path(folder) / "P_0.npy"
     if not starts.exists():

@@ -47,12 +47,12 @@ def case(batch: int, samples: int) -> tuple[Any, Any, np.ndarray]:
     """The reference loop, its course, and two gains for each instance, [B, 2]."""
     from hydrojax.control.inputs import sines, to_and_fro
     from hydrojax.control.simulation import make_scenario
-    from hydrojax.rigfile.build import load_rig
-    from hydrojax.rigfile.controller import make_loop
+    from hydrojax.rigfile.build import build_loop
+    from hydrojax.rigfile.schema import RigFile
 
-    file = resources.files("hydrojax") / "reference" / "rig.toml"
+    file = resources.files("hydrojax") / "paper" / "reference.toml"
     with resources.as_file(file) as path:
-        loop = make_loop(load_rig(path))
+        loop = build_loop(RigFile.load(path))
     t = H * np.arange(samples)
     F_d = sines(np.random.default_rng(1), t, 250.0)
     scenario = make_scenario(F_d, to_and_fro(0.03, 0.7), H, 14e6, 0.25e6, seed=0)

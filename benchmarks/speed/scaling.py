@@ -57,14 +57,11 @@ def scores(folder: str, count: int) -> Build:
     """
     from hydrojax.identify.api import applicable
     from hydrojax.identify.estimation.problem import Problem, free_parameters
-    from hydrojax.rigfile.build import make_effects, make_rig
+    from hydrojax.rigfile.build import build_rig
 
     case = opened(folder)
     names = [n for n in applicable(case) if n not in case.spec.effects][:count]
-    effects = make_effects((*case.spec.effects, *names), case.spec, case.fit.travel)
-    made = Problem.of(
-        make_rig(case.spec, effects), free_parameters(case.spec), case.fit
-    )
+    made = Problem.of(build_rig(case.spec, names), free_parameters(case.spec), case.fit)
     values = made.initial_values()
 
     def build():

@@ -9,7 +9,7 @@ import typer
 
 from hydrojax.cli.options import (
     Effects,
-    RigFile,
+    RigPath,
     app,
     check_out,
     console,
@@ -19,11 +19,12 @@ from hydrojax.cli.options import (
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import set_up_jax, user_cache
 from hydrojax.report.files import write_all
+from hydrojax.rigfile.schema import RigFile
 
 
 @app.command()
 def export(
-    rig: RigFile,
+    rig: RigPath,
     to: Annotated[
         list[str],
         typer.Option(
@@ -42,11 +43,10 @@ def export(
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import export
-    from hydrojax.rigfile.build import load_rig
 
     with show_progress() as progress:
         progress("write the rig")
-        spec = load_rig(rig)
+        spec = RigFile.load(rig)
         made = export.export(spec, to)
         for name in made.files:
             if (out / name).exists() and (out / name).samefile(rig):

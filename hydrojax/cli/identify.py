@@ -17,7 +17,7 @@ from hydrojax.cli.options import (
     Matters,
     Out,
     Profile,
-    RigFile,
+    RigPath,
     app,
     check_out,
     console,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @app.command()
 def identify(
-    rig: RigFile,
+    rig: RigPath,
     logs: Logs,
     validate: Annotated[
         list[Path] | None,
@@ -61,7 +61,7 @@ def identify(
 
 @app.command()
 def trace(
-    rig: RigFile,
+    rig: RigPath,
     logs: Logs,
     validate: Annotated[
         list[Path],

@@ -13,7 +13,7 @@ from hydrojax.cli.options import (
     Gains,
     Logs,
     Out,
-    RigFile,
+    RigPath,
     app,
     check_file,
     check_out,
@@ -29,7 +29,7 @@ from hydrojax.report.files import write_all
 
 @app.command()
 def simulate(
-    rig: RigFile,
+    rig: RigPath,
     gains: Gains = None,
     reference: Annotated[
         str,
@@ -58,23 +58,19 @@ def simulate(
     load_effects(effects)
     import warnings
 
-    import equinox as eqx
     import numpy as np
 
     from hydrojax.control import simulation
     from hydrojax.rigfile import recording
-    from hydrojax.rigfile.build import load_rig, make_effects, make_rig
-    from hydrojax.rigfile.controller import make_loop
+    from hydrojax.rigfile.build import build_loop
+    from hydrojax.rigfile.schema import RigFile
 
     recording.check_kind(out)
-    spec = load_rig(rig)
+    spec = RigFile.load(rig)
     with show_progress() as progress:
         progress("run the closed loop")
-        loop = make_loop(spec, None, given(gains or []))
+        loop = build_loop(spec, None, given(gains or []))
         scenario = recording.read_scenario(spec, loop, reference, motion, seconds, seed)
-        x = scenario.environment.x
-        own = make_effects(spec.effects, spec, (float(x.min()), float(x.max())))
-        loop = eqx.tree_at(lambda lo: lo.rig, loop, make_rig(spec, own))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # said below, in one line
             run = simulation.simulate(loop, scenario)
@@ -110,7 +106,7 @@ def _noiseless(sensors: dict[str, float]) -> str:
 
 @app.command()
 def excite(
-    rig: RigFile,
+    rig: RigPath,
     separate: Annotated[
         list[str] | None,
         typer.Option(help="Two effects to be told apart: both words that follow."),
@@ -132,10 +128,10 @@ def excite(
     from hydrojax.identify.design import Limits, design
     from hydrojax.report.text import quantity
     from hydrojax.rigfile import recording
-    from hydrojax.rigfile.build import load_rig
+    from hydrojax.rigfile.schema import RigFile
 
     recording.check_kind(out)
-    spec = load_rig(rig)
+    spec = RigFile.load(rig)
     both = [name for word in separate or [] for name in word.split(",")]
     if both and len(both) != 2:
         raise InputError(f"--separate {' '.join(both)}: name two effects")
@@ -166,7 +162,7 @@ def excite(
 
 @app.command()
 def bounds(
-    rig: RigFile,
+    rig: RigPath,
     logs: Logs,
     validate: Annotated[
         list[Path] | None,

@@ -31,7 +31,7 @@ app = typer.Typer(
 console = Console()
 errors = Console(stderr=True)
 
-RigFile = Annotated[Path, typer.Argument(help="Rig file (TOML).", show_default=False)]
+RigPath = Annotated[Path, typer.Argument(help="Rig file (TOML).", show_default=False)]
 Logs = Annotated[
     list[Path],
     typer.Argument(

@@ -14,7 +14,7 @@ from hydrojax.cli.options import (
     Effects,
     Gains,
     Out,
-    RigFile,
+    RigPath,
     app,
     check_out,
     console,
@@ -28,7 +28,7 @@ from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 
 @app.command()
 def sweep(
-    rig: RigFile,
+    rig: RigPath,
     over: Annotated[
         list[str],
         typer.Option(

@@ -15,7 +15,8 @@ from hydrojax import __version__
 from hydrojax.control.adaptive import LEAST_DROP, Estimates, Law
 from hydrojax.export.template import fill
 from hydrojax.export.tree import defaults_taken, rig_tree
-from hydrojax.rigfile.controller import KEYS, make_loop, si
+from hydrojax.rigfile.build import build_loop
+from hydrojax.rigfile.controller import KEYS, si
 from hydrojax.rigfile.schema import RigFile
 
 UNITS = ("1/Pa", "m^2", *(si(KEYS[name].unit) for name in Estimates._fields[2:]))
@@ -28,7 +29,7 @@ def firmware_of(spec: RigFile) -> dict[str, str]:
     Raises:
         InputError: the rig has no valve, or [controller] holds what will not do.
     """
-    loop = make_loop(spec)
+    loop = build_loop(spec)
     volts = spec.command_unit == "V"
     known = {
         "rig": spec.name,

@@ -46,7 +46,7 @@ def export(spec: RigFile, formats: Iterable[str]) -> Export:
     """A rig in the formats named.
 
     Args:
-        spec: as `load_rig` read it.
+        spec: as `RigFile.load` read it.
         formats: of `FORMATS`.
 
     Raises:

@@ -17,9 +17,9 @@ from hydrojax.export.tree import identifier, meaning, plant
 from hydrojax.plant.layout import Layout
 from hydrojax.plant.named import get, hydraulic_names, parameter_specs, put
 from hydrojax.plant.rig import Rig
-from hydrojax.rigfile.build import BASE
-from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.vocabulary import BASE
 
 Names = Mapping[str, tuple[str, str]]
 """Variables by name: the SI unit, and what each is."""
@@ -64,7 +64,7 @@ class Model:
     """
 
     def __init__(self, spec: RigFile) -> None:
-        """From a rig file, as `load_rig` read it.
+        """From a rig file, as `RigFile.load` read it.
 
         Raises:
             InputError: the rig cannot be run, in one line.
@@ -150,7 +150,7 @@ def _at_rest(spec: RigFile) -> tuple[Rig, float, float]:
     """The rig, the length of a tick (s), and P_a1 at rest (Pa)."""
     if not spec.layout.has_valve:
         return plant(spec), PERIOD, 0.0
-    loop = make_loop(spec)
+    loop = build_loop(spec)
     return loop.rig, float(loop.h), float(loop.P_start)
 
 

@@ -16,7 +16,7 @@ from hydrojax import effects
 from hydrojax.errors import InputError
 from hydrojax.export.model import Model
 from hydrojax.jax_setup import set_up_jax
-from hydrojax.rigfile.build import load_rig
+from hydrojax.rigfile.schema import RigFile
 
 RIG, EFFECTS = "rig.toml", "effects.json"
 """Names of the resources: the rig file, and which of its effects are in which file."""
@@ -108,4 +108,4 @@ def load(folder: Path) -> Model:
     for file, names in files.items():
         if not set(names) <= set(effects.EFFECTS):
             effects.load_effects(folder / file)
-    return Model(load_rig(folder / RIG))
+    return Model(RigFile.load(folder / RIG))

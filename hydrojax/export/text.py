@@ -13,7 +13,9 @@ from scipy.io import savemat
 
 from hydrojax.export.tree import Tree, check_names, rig_tree, signal_units
 from hydrojax.rigfile.controller import KEYS, file_keys, key_unit, si
-from hydrojax.rigfile.schema import GEOMETRY, LOAD, Entry, RigFile
+from hydrojax.rigfile.entries import Entry
+from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD
 
 
 def toml_of(spec: RigFile) -> str:
@@ -30,7 +32,7 @@ def toml_of(spec: RigFile) -> str:
         ("geometry", _quantities(spec.geometry, GEOMETRY)),
         ("supply", _quantities(spec.supply, pressures)),
         ("sensors", _quantities(spec.sensors, signal_units(spec))),
-        ("load", _quantities(spec.load, LOAD)),
+        ("load", _quantities(spec.output_load, LOAD)),
         ("channels", _channels(spec)),
         ("parameters", _entries(spec.parameters)),
     )

@@ -19,18 +19,19 @@ from hydrojax.logs.signals import SIGNALS
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.named import get, hydraulic_names
 from hydrojax.plant.rig import Rig
-from hydrojax.rigfile.build import BASE, make_effects, make_rig
+from hydrojax.rigfile.build import build_loop, build_rig
 from hydrojax.rigfile.controller import (
     KEYS,
     PAPER,
     default_bounds,
     file_keys,
     key_unit,
-    make_loop,
     si,
     valve_gain,
 )
-from hydrojax.rigfile.schema import GEOMETRY, LOAD, Entry, RigFile
+from hydrojax.rigfile.entries import Entry
+from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.vocabulary import BASE, GEOMETRY, LOAD
 
 FORMAT = "hydrojax-rig/1"
 
@@ -67,7 +68,7 @@ def rig_tree(spec: RigFile) -> Tree:
             for name, entries in spec.effects.items()
         },
         "controller": _controller(spec),
-        "load": _given(spec.load, LOAD),
+        "load": _given(spec.output_load, LOAD),
         "sensors": _given(spec.sensors, signal_units(spec)),
         "channels": {
             name: {"column": c.column, "unit": c.unit or "", "invert": c.invert}
@@ -78,8 +79,7 @@ def rig_tree(spec: RigFile) -> Tree:
 
 def plant(spec: RigFile) -> Rig:
     """The rig of a file with the effects it declares, as a closed loop runs it."""
-    reach = spec.geometry.get("chamber_length", 1.0) / 2
-    return make_rig(spec, make_effects(spec.effects, spec, (-reach, reach)))
+    return build_rig(spec)
 
 
 def signal_units(spec: RigFile) -> dict[str, str]:
@@ -178,7 +178,7 @@ def _controller(spec: RigFile) -> Tree:
 
 def _defaults(spec: RigFile) -> dict[str, tuple[float, float]]:
     """What the closed loop takes for each key that the file does not give."""
-    loop = make_loop(spec)
+    loop = build_loop(spec)
     nominal = loop.law.nominal
     kappa = valve_gain(file_keys(spec), nominal)
     step = float(loop.sensors.step) / spec.geometry.get("radius", 1.0)

@@ -18,8 +18,7 @@ from hydrojax.control.inputs import band_noise, to_and_fro
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.control.simulation import Path, hold, make_scenario, simulate
 from hydrojax.plant.rig import Rig
-from hydrojax.rigfile.build import load_rig, make_effects, make_rig
-from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.build import build_loop, build_rig
 from hydrojax.rigfile.schema import RigFile
 
 SECONDS, STEADY = 20.0, 4.0
@@ -120,8 +119,8 @@ def reference() -> tuple[RigFile, Rig]:
     """The reference rig's file and its plant: 200 Hz spool, 1 ms of computing."""
     file = resources.files("hydrojax") / "paper" / "reference.toml"
     with resources.as_file(file) as path:
-        spec = load_rig(path)
-    return spec, make_rig(spec, make_effects(spec.effects, spec, (-0.1, 0.1)))
+        spec = RigFile.load(path)
+    return spec, build_rig(spec)
 
 
 def _stack(loops: list[Loop]) -> Loop:
@@ -155,7 +154,7 @@ def tracking() -> tuple[dict[str, dict[str, Track]], Track]:
     scenario = _scenario(spec, F_d, to_and_fro(SPEED, PERIOD), h, seed=0)
     cases = [(f, c, g) for f, own in FIGURES.items() for c, g in own.items()]
     cases.append(("ablation", "", ABLATION))
-    loops = _stack([make_loop(spec, rig, gains) for *_, gains in cases])
+    loops = _stack([build_loop(spec, rig, gains) for *_, gains in cases])
     out = np.asarray(
         _runs(loops, _repeat(scenario, len(cases)), ("true_F", "P_d", "P"))
     )
@@ -176,7 +175,7 @@ def response(seconds: float = 60.0) -> Response:
     those of the noise; sines alone leave them elsewhere.
     """
     spec, rig = reference()
-    loop = make_loop(spec, rig)
+    loop = build_loop(spec, rig)
     h = float(loop.h)
     rng = np.random.default_rng(5)
 
@@ -253,7 +252,7 @@ def descent(
     spec = replace(spec, effects={}, sensors={})
     out = {}
     for rate in rates:
-        loop = make_loop(spec, None, {"rate": rate, "resolution": 0})
+        loop = build_loop(spec, None, {"rate": rate, "resolution": 0})
         h = float(loop.h)
         t = np.arange(round(6.0 / h)) * h
         F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
@@ -267,7 +266,7 @@ def descent(
 def least_supply() -> theory.Supply:
     """The supply condition (42) on the run of Fig. 3 (a)."""
     spec, rig = reference()
-    loop = make_loop(spec, rig)
+    loop = build_loop(spec, rig)
     h = float(loop.h)
     t = np.arange(round(8.0 / h)) * h
     F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)

@@ -1,52 +1,52 @@
-"""From a rig file to a rig."""
+"""From a rig file to a rig and its closed loop: the only place that makes either."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
+from dataclasses import replace
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
+from hydrojax.control.loop import Loop, Sensors
 from hydrojax.effects import EFFECTS, offered
-from hydrojax.parameters import Spec, specs
-from hydrojax.plant.chambers import Chambers, Lands
+from hydrojax.effects.valve import QUEUE, ValveDelay
+from hydrojax.errors import InputError
 from hydrojax.plant.effect import Effect
-from hydrojax.plant.friction import Friction
+from hydrojax.plant.load import Driven, Inertia
 from hydrojax.plant.named import get, put
 from hydrojax.plant.rig import Rig, add, bare_rig
-from hydrojax.rigfile.schema import RigFile, read_rig
-
-LANDS = tuple(specs(Lands))
-"""The valve constants' names."""
-
-BASE: Mapping[str, Spec] = {**specs(Lands), **specs(Chambers), **specs(Friction)}
-"""The base model's parameters, by name."""
-
-
-def load_rig(path: str | Path) -> RigFile:
-    """Read a rig file against the vocabulary; see `rigfile.read_rig`.
-
-    Effects that installed packages offer belong to it, and those of files that
-    `effects.load_effects` has read.
-    """
-    offered()
-    return read_rig(path, BASE, {name: specs(e) for name, e in EFFECTS.items()})
+from hydrojax.rigfile.controller import (
+    ENCODER,
+    Values,
+    control_period,
+    file_keys,
+    make_law,
+    read_keys,
+)
+from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.vocabulary import LANDS
 
 
-def make_effects(
-    names: Iterable[str], spec: RigFile, travel: tuple[float, float]
-) -> dict[str, Effect]:
+def effects_of(names: Iterable[str], file: RigFile) -> dict[str, Effect]:
     """The named effects, absent, in the order of the vocabulary.
 
-    `travel` (m) is the range of x in the logs, over which a profile is laid unless
-    the file says between which ends.
+    Profiles along the stroke are laid over `file.stroke`.
+
+    Args:
+        names: of effects; see `hydrojax.effects.EFFECTS`.
+        file: the rig.
+
+    Raises:
+        KeyError: a name that the vocabulary lacks.
     """
+    offered()
     wanted = set(names)
-    known = {
-        "x_from": spec.geometry.get("x_from", travel[0]),
-        "x_to": spec.geometry.get("x_to", travel[1]),
-        "radius": spec.geometry.get("radius", 1.0),
-    }
+    if unknown := wanted - set(EFFECTS):
+        raise KeyError(f"unknown effects {sorted(unknown)}; known: {list(EFFECTS)}")
+    x_from, x_to = file.stroke
+    radius = file.geometry.get("radius", 1.0)
+    known = {"x_from": x_from, "x_to": x_to, "radius": radius}
     out = {}
     for name, effect in EFFECTS.items():
         if name in wanted:
@@ -59,16 +59,132 @@ def make_effects(
     return out
 
 
-def make_rig(spec: RigFile, effects: Mapping[str, Effect]) -> Rig:
-    """The rig of a file at its start values, with effects added dormant.
+def over_travel(file: RigFile, travel: tuple[float, float]) -> RigFile:
+    """The file with the candidates' profiles laid over the travel of the logs.
 
-    Effects that the file declares must be among `effects`.
+    What the file itself says of its plant stays: a stretch in [geometry], or a profile
+    among its effects, which then is laid over `RigFile.stroke`.
+
+    Args:
+        file: the rig.
+        travel: lowest and highest position in the logs, m; 0 is mid-stroke.
     """
-    rig = add(bare_rig(spec.layout, spec.geometry), effects.values())
-    if spec.command_unit == "1":
+    if "x_from" in file.geometry or lays(file.effects) or travel[0] >= travel[1]:
+        return file
+    ends = {"x_from": float(travel[0]), "x_to": float(travel[1])}
+    return replace(file, geometry=file.geometry | ends)
+
+
+def lays(names: Iterable[str]) -> bool:
+    """Whether one of the named effects is laid over a stretch of the stroke."""
+    return any("x_from" in EFFECTS[name].__dataclass_fields__ for name in names)
+
+
+def build_rig(file: RigFile, effects: Iterable[str] = ()) -> Rig:
+    """The rig of a file at its start values.
+
+    Args:
+        file: the rig; the effects it declares are in the result.
+        effects: names of further effects, which are added absent: all their strengths
+            are zero.
+
+    Raises:
+        KeyError: an effect that the vocabulary lacks.
+    """
+    modules = effects_of((*file.effects, *effects), file)
+    rig = add(bare_rig(file.layout, file.geometry), modules.values())
+    if file.command_unit == "1":
         # The default valve constants are per volt of a +-10 V command.
         rig = put(rig, LANDS, 10 * get(rig, LANDS))
-    given = {name: e.start for name, e in spec.parameters.items()}
-    for effect, entries in spec.effects.items():
+    given = {name: e.start for name, e in file.parameters.items()}
+    for effect, entries in file.effects.items():
         given |= {f"{effect}.{name}": e.start for name, e in entries.items()}
     return put(rig, tuple(given), jnp.array(list(given.values()))) if given else rig
+
+
+def build_loop(
+    file: RigFile,
+    rig: Rig | None = None,
+    gains: Mapping[str, object] | None = None,
+    where: str = "--gains",
+) -> Loop:
+    """The closed loop of a rig file.
+
+    Args:
+        file: the rig.
+        rig: the plant, if it is another than `build_rig(file)`; the law knows the
+            file's without effects.
+        gains: keys of [controller] that replace the file's.
+        where: what opens an error line about `gains`.
+
+    Raises:
+        InputError: an invalid key, unit or value, or a rig without a valve.
+    """
+    if not file.layout.has_valve:
+        raise InputError(
+            f"{file.path}: layout {file.layout.name!r} has no valve to close a "
+            "loop with; give the rig's areas and another layout"
+        )
+    nominal = build_rig(replace(file, effects={}))
+    keys = file_keys(file) | read_keys(where, gains or {}, file)
+    rig = build_rig(file) if rig is None else rig
+    h = control_period(keys)
+    _check_delay(file, rig, h)
+    return Loop(
+        rig=rig,
+        law=make_law(keys, nominal, file, file.line["P_r"]),
+        load=_load(file),
+        sensors=_sensors(keys, file),
+        h=_array(h),
+        P_start=_array(_start(nominal, sum(file.line.values()) / 2)),
+    )
+
+
+def _start(rig: Rig, middle: float) -> float:
+    """Pressure of chamber 1 at rest: both about midway, and no force, Pa."""
+    a_1, a_2 = float(rig.force_area_1), float(rig.force_area_2)
+    return 2 * middle * a_2 / (a_1 + a_2)
+
+
+def _check_delay(file: RigFile, rig: Rig, h: float) -> None:
+    """Refuse a delay that its queue would cut short."""
+    reach = (QUEUE - 1) * h
+    for channel in rig.command:
+        if isinstance(channel, ValveDelay) and float(channel.tau_u) > reach:
+            raise InputError(
+                f"{file.path}: [effects.valve_delay] tau_u: {float(channel.tau_u):g} s "
+                f"is more than {reach:.3g} s, as far as a delay reaches at this "
+                "[controller] rate; lower either"
+            )
+
+
+def _array(value: float) -> Float[Array, ""]:
+    """A number as a parameter: not weakly typed, or a change of it would recompile."""
+    return jnp.asarray(value, float)
+
+
+def _sensors(keys: Values, file: RigFile) -> Sensors:
+    radius = file.geometry.get("radius")
+    step = keys["resolution"][0] if "resolution" in keys else ENCODER * bool(radius)
+    noise = {name: file.sensors.get(name, 0.0) for name in ("P_a1", "P_a2", "P_s", "F")}
+    sizes = {name: _array(size) for name, size in noise.items()}
+    return Sensors(**sizes, step=_array(step * (radius or 1.0)))
+
+
+def _load(file: RigFile) -> Driven | Inertia:
+    given = {k: v for k, v in file.output_load.items() if k != "F"}
+    if not given:
+        return Driven()
+    if "mass" not in given:
+        raise InputError(
+            f'{file.path}: [load] mass is missing; add mass = "150 kg", or take '
+            "stiffness and damping out: the environment then leads the piston"
+        )
+    rest = {"stiffness": 0.0, "damping": 0.0} | given
+    for name, value in rest.items():
+        if value < 0 or (name == "mass" and value == 0):
+            raise InputError(
+                f"{file.path}: [load] {name} must be "
+                f"{'above' if name == 'mass' else 'at least'} 0, not {value:g}; mend it"
+            )
+    return Inertia(**{name: _array(v) for name, v in rest.items()})

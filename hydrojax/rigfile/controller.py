@@ -1,9 +1,9 @@
-"""The door of the law: a rig file's [controller], in the paper's units, to SI."""
+"""A rig file's [controller], in the paper's units, and the law that it makes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from difflib import get_close_matches
 
 import jax
@@ -12,12 +12,8 @@ import numpy as np
 
 from hydrojax import units
 from hydrojax.control.adaptive import Estimates, Law, mean_area
-from hydrojax.control.loop import Loop, Sensors
-from hydrojax.effects.valve import QUEUE, ValveDelay
 from hydrojax.errors import InputError
-from hydrojax.plant.load import Driven, Inertia
 from hydrojax.plant.rig import Rig
-from hydrojax.rigfile.build import make_effects, make_rig
 from hydrojax.rigfile.schema import RigFile
 
 ENCODER = 2 * np.pi / 2**23
@@ -89,68 +85,21 @@ the paper's gains then make a loop of 360 rad/s on any rig."""
 _RATES = ("rho_1", "rho_a", "c_1", "c_2", "c_3", "c_4", "c_5", "c_6", "c_7")
 
 
-def make_loop(
-    spec: RigFile,
-    rig: Rig | None = None,
-    gains: Mapping[str, object] | None = None,
-    where: str = "--gains",
-) -> Loop:
-    """The closed loop of a rig file.
-
-    Args:
-        spec: as `load_rig` gives it.
-        rig: the plant, if it is another than the file's with the effects it declares;
-            the law knows the file's without them.
-        gains: keys of [controller] that replace the file's.
-        where: what opens an error line about `gains`.
-
-    Raises:
-        InputError: a key, unit or value that will not do, or a rig without a valve.
-    """
-    if not spec.layout.has_valve:
-        raise InputError(
-            f"{spec.path}: layout {spec.layout.name!r} has no valve to close a "
-            "loop with; give the rig's areas and another layout"
-        )
-    nominal = make_rig(replace(spec, effects={}), {})
-    keys = file_keys(spec) | _read(where, gains or {}, spec)
-    if rig is None:
-        reach = spec.geometry.get("chamber_length", 1.0) / 2
-        rig = make_rig(spec, make_effects(spec.effects, spec, (-reach, reach)))
-    _check_delay(spec, rig, 1 / _one(keys, "rate"))
-    return Loop(
-        rig=rig,
-        law=_law(keys, nominal, spec, spec.line["P_r"]),
-        load=_load(spec),
-        sensors=_sensors(keys, spec),
-        h=_array(1 / _one(keys, "rate")),
-        P_start=_array(_start(nominal, sum(spec.line.values()) / 2)),
-    )
-
-
-def _start(rig: Rig, middle: float) -> float:
-    """Pressure of chamber 1 at rest: both about midway, and no force, Pa."""
-    a_1, a_2 = float(rig.force_area_1), float(rig.force_area_2)
-    return 2 * middle * a_2 / (a_1 + a_2)
-
-
-def _check_delay(spec: RigFile, rig: Rig, h: float) -> None:
-    """Refuse a delay that its queue would cut short."""
-    reach = (QUEUE - 1) * h
-    for channel in rig.command:
-        if isinstance(channel, ValveDelay) and float(channel.tau_u) > reach:
-            raise InputError(
-                f"{spec.path}: [effects.valve_delay] tau_u: {float(channel.tau_u):g} s "
-                f"is more than {reach:.3g} s, as far as a delay reaches at this "
-                "[controller] rate; lower either"
-            )
-
-
 Values = dict[str, tuple[float, float]]
 """Keys in SI but for volts, which stay the law's; one value is a pair of equals."""
 
 
-def _read(where: str, table: Mapping[str, object], spec: RigFile) -> Values:
+def read_keys(where: str, table: Mapping[str, object], spec: RigFile) -> Values:
+    """Keys of [controller]: both ends, SI but for volts, which stay the law's.
+
+    Args:
+        where: opens an error's line.
+        table: the keys as written.
+        spec: the rig, for its units.
+
+    Raises:
+        InputError: an invalid key, unit or value.
+    """
     out: Values = {}
     for name, given in table.items():
         if name not in KEYS:
@@ -161,7 +110,9 @@ def _read(where: str, table: Mapping[str, object], spec: RigFile) -> Values:
         both = list(given) if isinstance(given, (list, tuple)) else [given, given]
         if len(both) != 2 or (both[0] is not both[1] and not key.pair):
             shape = "one value, or two bounds" if key.pair else "one value"
-            raise InputError(f"{where} {name}: {given!r} will not do; give {shape}")
+            raise InputError(
+                f"{where} {name}: invalid value {given!r}: expected {shape}"
+            )
         lower, upper = (_number(f"{where} {name}", name, v, spec) for v in both)
         if lower > upper:
             raise InputError(f"{where} {name}: {given!r} is upside down; exchange them")
@@ -179,7 +130,7 @@ def file_keys(spec: RigFile) -> Values:
     Raises:
         InputError: a key, unit or value that will not do.
     """
-    return _read(f"{spec.path}: [controller]", spec.controller, spec)
+    return read_keys(f"{spec.path}: [controller]", spec.controller, spec)
 
 
 def key_unit(name: str, spec: RigFile) -> str:
@@ -215,6 +166,11 @@ def si(unit: str) -> str:
     return unit.replace("kN", "N")
 
 
+def control_period(keys: Values) -> float:
+    """The control period, s."""
+    return 1 / _one(keys, "rate")
+
+
 def _one(keys: Values, name: str) -> float:
     if name in keys:
         return keys[name][0]
@@ -228,7 +184,15 @@ def valve_gain(keys: Values, nominal: Rig) -> float:
     return 1 / float(nominal.chambers.beta) / (VOLT_SECONDS_PER_KILONEWTON * 1e-3)
 
 
-def _law(keys: Values, nominal: Rig, spec: RigFile, P_r: float) -> Law:
+def make_law(keys: Values, nominal: Rig, spec: RigFile, P_r: float) -> Law:
+    """The paper's law with these keys, and defaults for those that are not there.
+
+    Args:
+        keys: as `read_keys` gives them.
+        nominal: the rig without effects, which the law takes for the plant.
+        spec: the rig file.
+        P_r: return pressure, Pa.
+    """
     kappa = valve_gain(keys, nominal)
 
     def scale(name: str) -> float:
@@ -275,30 +239,3 @@ def default_bounds(nominal: Rig) -> dict[str, tuple[float, float]]:
         own = float(getattr(f, name))
         bounds[name] = (min(0.3, own / 2), max(1.1, 2 * own))
     return bounds
-
-
-def _sensors(keys: Values, spec: RigFile) -> Sensors:
-    radius = spec.geometry.get("radius")
-    step = keys["resolution"][0] if "resolution" in keys else ENCODER * bool(radius)
-    noise = {name: spec.sensors.get(name, 0.0) for name in ("P_a1", "P_a2", "P_s", "F")}
-    sizes = {name: _array(size) for name, size in noise.items()}
-    return Sensors(**sizes, step=_array(step * (radius or 1.0)))
-
-
-def _load(spec: RigFile) -> Driven | Inertia:
-    given = {k: v for k, v in spec.load.items() if k != "F"}
-    if not given:
-        return Driven()
-    if "mass" not in given:
-        raise InputError(
-            f'{spec.path}: [load] mass is missing; add mass = "150 kg", or take '
-            "stiffness and damping out: the environment then leads the piston"
-        )
-    rest = {"stiffness": 0.0, "damping": 0.0} | given
-    for name, value in rest.items():
-        if value < 0 or (name == "mass" and value == 0):
-            raise InputError(
-                f"{spec.path}: [load] {name} must be "
-                f"{'above' if name == 'mass' else 'at least'} 0, not {value:g}; mend it"
-            )
-    return Inertia(**{name: _array(v) for name, v in rest.items()})

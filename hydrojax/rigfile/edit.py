@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import tomlkit
 from tomlkit.items import InlineTable, Table
@@ -12,6 +11,7 @@ from hydrojax import units
 from hydrojax.effects import EFFECTS
 from hydrojax.parameters import Spec, specs
 from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.vocabulary import BASE
 
 Values = Mapping[str, float]
 
@@ -22,24 +22,22 @@ def rewrite(
     added: Sequence[str] = (),
     controller: Mapping[str, object] | None = None,
     name: str = "",
-    travel: tuple[float, float] | None = None,
 ) -> str:
     """The text of a rig file in which some values are replaced.
 
     A parameter that has a range keeps it, so that the file can be fitted again; where
-    the new value lies outside, the range is widened to hold it.
+    the new value lies outside, the range is widened to hold it. The stretch over which
+    profiles are laid (`build.over_travel`) is written where an effect has one.
 
     Args:
-        spec: the file, as `load_rig` read it.
+        spec: the file, as `RigFile.load` read it.
         values: by name (`beta`, `valve_lag.tau`), SI; those the file gives are
             replaced, and those of effects in `added` are written with their ranges.
         added: effects that the file does not declare.
         controller: keys of [controller] to set, as a rig file writes them.
         name: a new name for the rig, if any.
-        travel: range of x (m) over which profiles are laid; written where an effect has
-            one and the file does not say.
     """
-    document = tomlkit.parse(Path(spec.path).read_text(encoding="utf-8-sig"))
+    document = tomlkit.parse(spec.text)
     if name:
         document["name"] = name
     for section, fields, known in _tables(document, spec):
@@ -56,10 +54,10 @@ def rewrite(
         for effect in added:
             effects[effect] = _effect(effect, values, spec.command_unit)
     laid = [EFFECTS[e].__dataclass_fields__ for e in (*spec.effects, *added)]
-    if travel and any("x_from" in fields for fields in laid):
+    if "x_from" in spec.geometry and any("x_from" in fields for fields in laid):
         geometry = document.setdefault("geometry", tomlkit.table())
-        for key, end in zip(("x_from", "x_to"), travel, strict=True):
-            geometry.setdefault(key, text(end, "m"))
+        for key in ("x_from", "x_to"):
+            geometry.setdefault(key, text(spec.geometry[key], "m"))
     if controller:
         table = document.setdefault("controller", tomlkit.table())
         for key, value in controller.items():
@@ -69,8 +67,6 @@ def rewrite(
 
 def _tables(document, spec: RigFile):
     """(effect or "", its table, what is known of its parameters) of a document."""
-    from hydrojax.rigfile.build import BASE
-
     if "parameters" in document:
         yield "", document["parameters"], BASE
     for effect in spec.effects:

@@ -28,8 +28,8 @@ from hydrojax.errors import InputError
 from hydrojax.parameters import specs
 from hydrojax.plant.load import Inertia
 from hydrojax.plant.named import get, parameter_specs, put
-from hydrojax.rigfile.build import make_effects, make_rig
-from hydrojax.rigfile.controller import KEYS, make_loop, si
+from hydrojax.rigfile.build import build_loop, build_rig
+from hydrojax.rigfile.controller import KEYS, si
 from hydrojax.rigfile.schema import RigFile
 
 AMPLITUDE = 100.0
@@ -135,13 +135,12 @@ def open_setting(
     """The closed loop of a rig file, at rest in mid-stroke.
 
     Args:
-        spec: as `load_rig` gives it.
+        spec: as `RigFile.load` gives it.
         gains: keys of [controller] that replace the file's.
         extra: names of quantities; effects that they need are put in, absent.
     """
     needed = {name.partition(".")[0] for name in extra} & set(EFFECTS)
-    effects = make_effects({*spec.effects, *needed}, spec, (-0.1, 0.1))
-    loop = make_loop(spec, make_rig(spec, effects), gains)
+    loop = build_loop(spec, build_rig(spec, needed - set(spec.effects)), gains)
     zero, number = jnp.asarray(0.0, float), jnp.asarray
     return Setting(
         loop, zero, zero, zero, *(number(spec.line[n], float) for n in ("P_s", "P_r")),
@@ -178,7 +177,7 @@ def find(known: Mapping[str, Quantity], name: str, where: str) -> Quantity:
 
 def kappa(spec: RigFile) -> float:
     """The nominal valve gain that turns the law's volts into SI, m^2/(s V)."""
-    return 1e3 * float(make_loop(spec, None, {"k_p": 1.0}).law.k_p)
+    return 1e3 * float(build_loop(spec, None, {"k_p": 1.0}).law.k_p)
 
 
 def _point() -> list[Quantity]:

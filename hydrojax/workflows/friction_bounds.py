@@ -26,7 +26,7 @@ from hydrojax.identify.estimation.box import (
 from hydrojax.identify.results.closed_loop import identified
 from hydrojax.logs.log import Log
 from hydrojax.rigfile import controller, recording
-from hydrojax.rigfile.build import make_effects, make_rig
+from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.edit import rewrite, text
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune.refine import Plants, refine, tracking, with_bounds
@@ -88,8 +88,7 @@ def friction_bounds(
     box = smallest_box(names, fits, confidence, limits)
 
     spec = identified(case.spec, state.named)
-    effects = make_effects(spec.effects, spec, case.fit.travel)
-    loop = controller.make_loop(spec, make_rig(spec, effects))
+    loop = build_loop(spec)
     plants = Plants(names, np.array([f.theta for f in fits]))
     loop, scenarios = _scenarios(spec, loop, case.fit_logs)
     progress("refine the bounds")
@@ -118,7 +117,7 @@ def friction_bounds(
         n: [_paper_unit(n, a), _paper_unit(n, b)]
         for n, a, b in zip(names, lower, upper, strict=True)
     }
-    file = rewrite(case.spec, state.named, controller=keys, travel=case.fit.travel)
+    file = rewrite(case.spec, state.named, controller=keys)
     return Bounds(box, fits, other_fits, ways, fitted, elsewhere, file)
 
 

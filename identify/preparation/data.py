@@ -169,7 +169,7 @@ def driver(logs: Sequence[Log], spec: RigFile) -> str:
                 "logs that are fitted together need the same signals"
             )
     pressures = set(spec.layout.pressures)
-    force = "F" in has or "F" in spec.load
+    force = "F" in has or "F" in spec.output_load
     name = logs[0].name
     if not spec.layout.has_valve:
         if "P" not in has:

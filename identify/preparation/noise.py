@@ -147,7 +147,7 @@ def channel_noise(logs: Sequence[Log], spec: RigFile, driven_by: str) -> np.ndar
             continue
         if name != "F" and name not in logs[0].signals:
             continue
-        if name == "F" and "F" not in logs[0].signals and "F" not in spec.load:
+        if name == "F" and "F" not in logs[0].signals and "F" not in spec.output_load:
             continue
         if name in spec.sensors:
             out[c] = spec.sensors[name]

@@ -35,7 +35,7 @@ from hydrojax.identify.preparation.noise import (
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.plant.rig import Rig
-from hydrojax.rigfile.build import make_effects, make_rig
+from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.recording import position
 from hydrojax.rigfile.schema import RigFile
 
@@ -107,7 +107,7 @@ def _position(
     sensor_noise = sensor_noise_of(
         _stretches(logs, lambda log: position(log, spec), criteria), criteria
     )
-    rig = make_rig(spec, make_effects(spec.effects, spec, fit.travel))
+    rig = build_rig(spec)
     if sensor_noise is None or not _matters(sensor_noise, rig, fit, criteria):
         return None
     smoothed = tuple(_moved(log, spec, sensor_noise.smoothed, criteria) for log in logs)

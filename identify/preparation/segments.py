@@ -79,7 +79,7 @@ def segment(
     t, x = log.time[rows], sign * position(log, spec)[rows]
     get = {k: v[rows] for k, v in log.signals.items()}
     zero = np.zeros(t.size)
-    F = get.get("F", zero + spec.load.get("F", np.nan))
+    F = get.get("F", zero + spec.output_load.get("F", np.nan))
     supply = {k: get.get(k, zero + v) for k, v in spec.line.items()}
     # Where u drives a log without pressures, they start midway: a first guess.
     middle = (supply["P_s"] + supply["P_r"]) / 2 if "u" in get else zero

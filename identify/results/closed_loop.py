@@ -12,10 +12,10 @@ from hydrojax.identify.results.outcome import LoopCheck
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.plant.named import get, parameter_specs, put
-from hydrojax.rigfile.build import make_effects, make_rig
-from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.build import build_loop, build_rig
+from hydrojax.rigfile.entries import Entry
 from hydrojax.rigfile.recording import longest, rerun
-from hydrojax.rigfile.schema import Entry, RigFile
+from hydrojax.rigfile.schema import RigFile
 
 
 def identified(spec: RigFile, values: dict[str, float]) -> RigFile:
@@ -37,7 +37,6 @@ def check_loop(
     log: Log,
     values: dict[str, float],
     added: tuple[str, ...],
-    travel: tuple[float, float],
     criteria: Criteria = Criteria(),
 ) -> LoopCheck | None:
     """Put a log's F_d through the simulated loop and compare F with the measured F.
@@ -51,7 +50,6 @@ def check_loop(
         log: what is to be run again.
         values: every parameter by name, SI, as identified.
         added: effects beyond the declared ones.
-        travel: range of x over which position effects are laid, m.
         criteria: how much of the log is run, and what of it is not compared.
 
     Returns:
@@ -60,13 +58,12 @@ def check_loop(
     if not {"u", "F", "F_d"} <= set(log.signals) or not spec.layout.has_valve:
         return None
     known = identified(spec, values)
-    effects = make_effects((*spec.effects, *added), spec, travel)
-    rig = make_rig(known, effects)
+    rig = build_rig(known, added)
     names = tuple(parameter_specs(rig))
     own = np.asarray(get(rig, names))
     at = [values.get(n, v) for n, v in zip(names, own, strict=True)]
     rig = put(rig, names, np.array(at))
-    loop = make_loop(known, rig)
+    loop = build_loop(known, rig)
     scenario, loop = rerun(known, loop, log, criteria.loop_seconds)
     if scenario is None:
         return None

@@ -23,8 +23,8 @@ from hydrojax.plant.load import Inertia
 from hydrojax.plant.named import get, put
 from hydrojax.plant.replay import friction_memory, pressures, readings
 from hydrojax.plant.rig import add
-from hydrojax.rigfile.build import load_rig
-from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.build import build_loop
+from hydrojax.rigfile.schema import RigFile
 
 H, SAMPLES, LANES = 1e-3, 2000, 19
 
@@ -52,9 +52,9 @@ class Case(NamedTuple):
 @pytest.fixture(scope="module")
 def loop() -> Loop:
     """The reference rig in closed loop: delay, spool, noise, encoder, adaptation."""
-    file = resources.files("hydrojax") / "reference" / "rig.toml"
+    file = resources.files("hydrojax") / "paper" / "reference.toml"
     with resources.as_file(file) as path:
-        return make_loop(load_rig(path))
+        return build_loop(RigFile.load(path))
 
 
 @pytest.fixture(scope="module")

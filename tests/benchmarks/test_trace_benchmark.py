@@ -217,12 +217,12 @@ def test_catalogue_holds_what_is_promised():
 
 def test_case_on_disk_is_readable(tmp_path):
     from hydrojax.logs.log import Log
-    from hydrojax.rigfile.build import load_rig
+    from hydrojax.rigfile.schema import RigFile
 
     spec = cases.CaseSpec("effect-valve_lag-1-0", "effect", {"valve_lag": 1.0})
     cases.write_cases([spec], tmp_path, tracing.declare, seconds=0.6)
     folder = tmp_path / spec.name
-    declared, oracle = (load_rig(folder / f"{n}.toml") for n in ("rig", "oracle"))
+    declared, oracle = (RigFile.load(folder / f"{n}.toml") for n in ("rig", "oracle"))
     assert set(oracle.effects) == {"valve_lag"} and not declared.effects
     log = Log.load(folder / "fit_1.csv")
     assert len(log.time) == 600 and {"u", "psi", "P_a1", "P_s", "F"} <= set(log.signals)
@@ -233,11 +233,11 @@ def test_case_on_disk_is_readable(tmp_path):
 
 def test_a_differential_cylinder_reads_back(tmp_path):
     from hydrojax.logs.log import Log
-    from hydrojax.rigfile.build import load_rig
+    from hydrojax.rigfile.schema import RigFile
 
     (spec,) = cases.plan(0, {"differential": 1})
     cases.write_cases([spec], tmp_path, seconds=0.6)
-    rig = load_rig(tmp_path / spec.name / "rig.toml")
+    rig = RigFile.load(tmp_path / spec.name / "rig.toml")
     assert rig.layout.name == "differential"
     assert 0.55 < rig.geometry["area_1"] / rig.geometry["area_2"] < 0.85
     s = Log.load(tmp_path / spec.name / "fit_1.csv").signals

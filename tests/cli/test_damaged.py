@@ -20,8 +20,8 @@ from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
 from hydrojax.logs.signals import SIGNALS
-from hydrojax.rigfile.build import load_rig
-from hydrojax.rigfile.schema import GEOMETRY, LOAD
+from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD
 
 many = settings(
     max_examples=250, deadline=None, derandomize=True,
@@ -59,7 +59,7 @@ def log_is_sound_or_refused(path: Path) -> None:
 
 def rig_is_sound_or_refused(path: Path) -> None:
     try:
-        spec = load_rig(path)
+        spec = RigFile.load(path)
     except InputError as error:
         one_line(path, error)
         return

@@ -29,8 +29,8 @@ from hydrojax.plant.chambers import LAMINAR_CORE
 from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, Motion
 from hydrojax.plant.named import put
 from hydrojax.plant.rig import add
-from hydrojax.rigfile.build import load_rig, make_effects
-from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.build import build_loop, effects_of
+from hydrojax.rigfile.schema import RigFile
 from tests.control.test_control import (
     AREAS,
     GIVEN,
@@ -439,7 +439,7 @@ rate = "4000 Hz"
 def test_a_differential_cylinder_of_two_to_one_begins_inside_the_supply(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(DIFFERENTIAL)
-    loop = make_loop(load_rig(path))
+    loop = build_loop(RigFile.load(path))
     scenario = make_scenario(np.zeros(100), hold(), 1 / 4000, P_S, P_R)
     out = simulate(loop, scenario)
     assert 0.25e6 < out["true_P_a2"][0] < P_S and 0.25e6 < out["true_P_a1"][0] < P_S
@@ -454,16 +454,16 @@ def test_a_delay_beyond_its_queue_is_refused(tmp_path):
         path.write_text(f'{DIFFERENTIAL}[effects.valve_delay]\ntau_u = "{delay}"\n')
         if refused:
             with pytest.raises(InputError, match="tau_u"):
-                make_loop(load_rig(path))
+                build_loop(RigFile.load(path))
         else:
-            make_loop(load_rig(path))
+            build_loop(RigFile.load(path))
 
 
 def test_effects_that_are_absent_change_nothing():
     """All of the vocabulary in one loop, each at zero."""
     spec, _ = experiments.reference()
     bare = make_bench_loop(effects=False)
-    every = make_effects(EFFECTS, spec, (-0.1, 0.1)).values()
+    every = effects_of(EFFECTS, spec).values()
     loop = eqx.tree_at(lambda lo: lo.rig, bare, add(bare.rig, every))
     scenario = make_scenario(desired(200), MOTIONS["driven"], H, P_S, P_R, parts=1)
     keep = ("F", "P_a1", "P_a2", "u", "true_F")

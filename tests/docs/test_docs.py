@@ -18,7 +18,7 @@ import typer
 
 from hydrojax import cli
 from hydrojax.effects import EFFECTS, load_effects
-from hydrojax.rigfile.build import load_rig
+from hydrojax.rigfile.schema import RigFile
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
@@ -242,4 +242,4 @@ def test_a_rig_file_shown_is_taken(text, tmp_path, own_effects):
     path = tmp_path / "rig.toml"
     whole = merged({"name": "shown", **BASE}, shown)
     path.write_text(tomlkit.dumps(whole))
-    load_rig(path)
+    RigFile.load(path)

@@ -14,7 +14,7 @@ import pytest
 from hydrojax import effects
 from hydrojax.effects import EFFECTS, load_effects, registry
 from hydrojax.errors import InputError
-from hydrojax.rigfile.build import load_rig
+from hydrojax.rigfile.schema import RigFile
 from tests import generator
 
 PAGE = Path(__file__).parents[2] / "docs" / "your_own_effect.md"
@@ -135,13 +135,13 @@ def test_a_package_offers_its_effects(vocabulary, mine, monkeypatch, case):
         point = EntryPoint("mine", value, registry.GROUP)
         monkeypatch.setattr(registry, "entry_points", lambda group, p=point: [p])
         effects.offered.cache_clear()
-        load_rig(case / "rig.toml")
+        RigFile.load(case / "rig.toml")
         assert "quadratic_drag" in EFFECTS
     point = EntryPoint("mine", "no_such_package:Thing", registry.GROUP)
     monkeypatch.setattr(registry, "entry_points", lambda group: [point])
     effects.offered.cache_clear()
     with pytest.raises(InputError, match="no_such_package.*uninstall its package"):
-        load_rig(case / "rig.toml")
+        RigFile.load(case / "rig.toml")
     monkeypatch.undo()
     effects.offered.cache_clear()
 

@@ -24,8 +24,9 @@ from hydrojax.control.simulation import simulate
 from hydrojax.errors import InputError
 from hydrojax.plant.rig import StepInput
 from hydrojax.rigfile import recording
-from hydrojax.rigfile.build import load_rig
-from hydrojax.rigfile.controller import file_keys, make_loop
+from hydrojax.rigfile.build import build_loop
+from hydrojax.rigfile.controller import file_keys
+from hydrojax.rigfile.schema import RigFile
 
 REFERENCE = (resources.files("hydrojax") / "paper/reference.toml").read_text()
 
@@ -108,7 +109,7 @@ LAWS = {"reference": REFERENCE, "every": EVERY, "rich": RICH, "single": SINGLE}
 def spec_of(text, tmp_path):
     path = tmp_path / "source.toml"
     path.write_text(text, encoding="utf-8")
-    return load_rig(path)
+    return RigFile.load(path)
 
 
 def one(spec, kind):
@@ -119,7 +120,7 @@ def one(spec, kind):
 
 def closed_loop(spec, seconds, seed=3):
     """A run of the rig as its file says, with noise."""
-    loop = make_loop(spec)
+    loop = build_loop(spec)
     scenario = recording.read_scenario(spec, loop, seconds=seconds, seed=seed)
     return loop, simulate(loop, scenario)
 
@@ -131,11 +132,11 @@ def closed_loop(spec, seconds, seed=3):
 def test_toml_reads_back_as_the_same_rig(text, tmp_path):
     spec = spec_of(text, tmp_path)
     (tmp_path / "out.toml").write_bytes(one(spec, "toml"))
-    again = load_rig(tmp_path / "out.toml")
+    again = RigFile.load(tmp_path / "out.toml")
     assert file_keys(again) == file_keys(spec)
     same = replace(again, path=spec.path, controller=spec.controller)
     assert same == spec
-    laws = [jax.tree.leaves(make_loop(s)) for s in (spec, again)]
+    laws = [jax.tree.leaves(build_loop(s)) for s in (spec, again)]
     assert all(bool(a == b) for a, b in zip(*laws, strict=True))
 
 
@@ -188,7 +189,7 @@ def test_json_has_every_number_with_its_unit(tmp_path):
 def test_the_laws_numbers_are_those_of_the_tree(tmp_path):
     """What [controller] says, times the valve gain, is what the loop has."""
     spec = spec_of(EVERY, tmp_path)
-    tree, law = json.loads(one(spec, "json"))["controller"], make_loop(spec).law
+    tree, law = json.loads(one(spec, "json"))["controller"], build_loop(spec).law
     kappa = tree["kappa"]["value"]
     for name, volts in (("k_p", 1), ("k_f", 1), ("tau_d", 0), ("tau_v", 0)):
         want = tree[name]["value"] * (kappa if volts else 1)
@@ -476,7 +477,7 @@ def test_the_effects_and_parameters_of_an_fmu_act(fmpy, driven):
         changed = run_fmu(fmpy, path, short, h, P, start_values={name: 3 * value})
         assert np.max(np.abs(changed - base) / size) > 1e-3, name
     bare = replace(spec, effects={})
-    without = by_steps(make_loop(bare).rig, short, h, P)[:-1]
+    without = by_steps(build_loop(bare).rig, short, h, P)[:-1]
     assert np.max(np.abs(without - base[1:]) / size) > 1e-3
 
 

@@ -11,8 +11,8 @@ from hydrojax.identify.results.closed_loop import check_loop, identified
 from hydrojax.logs.log import Log
 from hydrojax.plant.named import get, parameter_specs
 from hydrojax.rigfile import recording
-from hydrojax.rigfile.build import load_rig, make_effects, make_rig
-from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.build import build_loop, build_rig
+from hydrojax.rigfile.schema import RigFile
 
 TRAVEL = (-0.02, 0.02)
 
@@ -22,14 +22,14 @@ def spec():
     with resources.as_file(
         resources.files("hydrojax") / "paper/reference.toml"
     ) as path:
-        return load_rig(path)
+        return RigFile.load(path)
 
 
 @pytest.fixture(scope="module")
 def log(spec, tmp_path_factory):
     """Five seconds of the reference rig, with noise and encoder, as a file."""
-    rig = make_rig(spec, make_effects(spec.effects, spec, TRAVEL))
-    loop = make_loop(spec, rig)
+    rig = build_rig(spec)
+    loop = build_loop(spec, rig)
     scenario = recording.read_scenario(spec, loop, seconds=5.0, seed=2)
     path = tmp_path_factory.mktemp("loop") / "log.csv"
     recording.write_log(path, recording.columns(simulate(loop, scenario), spec))
@@ -38,14 +38,14 @@ def log(spec, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def truth(spec):
-    rig = make_rig(spec, make_effects(spec.effects, spec, TRAVEL))
+    rig = build_rig(spec)
     names = tuple(parameter_specs(rig))
     return dict(zip(names, np.asarray(get(rig, names)).tolist(), strict=True))
 
 
 def test_the_true_rig_runs_as_measured(spec, log, truth):
     """What differs is the sensors' noise, and what it does in the loop."""
-    found = check_loop(spec, log, truth, (), TRAVEL)
+    found = check_loop(spec, log, truth, ())
     assert found.rms < 6.0 and not found.warning
     assert found.rms > 2.0  # the load cell's own noise is 2.5 N
     assert found.tracking_measured == pytest.approx(found.tracking_simulated, rel=0.25)
@@ -56,31 +56,31 @@ def test_the_true_rig_runs_as_measured(spec, log, truth):
 
 def test_another_friction_shows(spec, log, truth):
     off = truth | {"k_cp": 2 * truth["k_cp"], "k_cn": 0.5 * truth["k_cn"]}
-    right = check_loop(spec, log, truth, (), TRAVEL)
+    right = check_loop(spec, log, truth, ())
     # The law that knows the wrong friction is another law, and the plant another too.
-    assert check_loop(spec, log, off, (), TRAVEL).rms > 1.3 * right.rms
+    assert check_loop(spec, log, off, ()).rms > 1.3 * right.rms
 
 
 def test_an_effect_that_was_found_is_in_the_plant(spec, log, truth):
-    right = check_loop(spec, log, truth, (), TRAVEL)
+    right = check_loop(spec, log, truth, ())
     lag = truth | {"loadcell_lag.tau_F": 5e-3}
-    assert check_loop(spec, log, lag, ("loadcell_lag",), TRAVEL).rms > 2 * right.rms
+    assert check_loop(spec, log, lag, ("loadcell_lag",)).rms > 2 * right.rms
 
 
 @pytest.mark.parametrize("missing", ["F_d", "u", "F"])
 def test_without_a_loop_there_is_nothing_to_run(spec, log, truth, missing):
     signals = {n: v for n, v in log.signals.items() if n != missing}
-    assert check_loop(spec, replace(log, signals=signals), truth, (), TRAVEL) is None
+    assert check_loop(spec, replace(log, signals=signals), truth, ()) is None
 
 
 def test_holes_in_the_desired_force_end_the_run(spec, log, truth):
     F_d = log.signals["F_d"].copy()
     F_d[3000:] = np.nan
     cut = replace(log, signals=log.signals | {"F_d": F_d})
-    found = check_loop(spec, cut, truth, (), TRAVEL)
+    found = check_loop(spec, cut, truth, ())
     assert found.t[-1] == pytest.approx(2.998, abs=0.01)
     F_d[1000:] = np.nan
-    assert check_loop(spec, cut, truth, (), TRAVEL) is None
+    assert check_loop(spec, cut, truth, ()) is None
 
 
 def test_the_identified_file_has_the_identified_values(spec):

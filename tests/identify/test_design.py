@@ -14,8 +14,8 @@ from hydrojax.identify import api
 from hydrojax.identify.case import open_case
 from hydrojax.identify.design import FORCE_HZ, MOTION_HZ, Limits, ask, design, waves
 from hydrojax.rigfile import recording
-from hydrojax.rigfile.build import load_rig, make_effects, make_rig
-from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.build import build_loop, build_rig
+from hydrojax.rigfile.schema import RigFile
 
 LIMITS = Limits(force=600.0, speed=0.02, travel=0.015, seconds=3.0)
 FREE = {"beta": ("Pa", 8.5e8), "k_cp": ("N", 1250.0), "z_ss": ("m", 60e-6)}
@@ -38,12 +38,12 @@ def rig_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def asked(rig_file):
-    return ask(load_rig(rig_file), LIMITS)
+    return ask(RigFile.load(rig_file), LIMITS)
 
 
 @pytest.fixture(scope="module")
 def found(rig_file):
-    return design(load_rig(rig_file), LIMITS, steps=4)
+    return design(RigFile.load(rig_file), LIMITS, steps=4)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -82,13 +82,13 @@ def test_the_design_tells_more(found):
 
 def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
     """The design run in closed loop, logged and identified: the same spreads."""
-    spec = load_rig(rig_file)
+    spec = RigFile.load(rig_file)
     scenario = tmp_path / "course.csv"
     recording.write_log(
         scenario, recording.scenario_columns(found.t, found.F_d, found.x, spec)
     )
-    rig = make_rig(spec, make_effects(spec.effects, spec, (-0.02, 0.02)))
-    loop = make_loop(spec, rig)
+    rig = build_rig(spec)
+    loop = build_loop(spec, rig)
     again = recording.read_scenario(
         spec, loop, str(scenario), str(scenario), 60.0, seed=3
     )
@@ -116,7 +116,7 @@ def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
 
 def test_two_effects_are_asked_for_together(rig_file):
     """Each strength is harder to tell beside the other effect than without it."""
-    spec = load_rig(rig_file)
+    spec = RigFile.load(rig_file)
     both = ask(spec, LIMITS, ("internal_leakage", "external_leakage"))
     alone = ask(spec, LIMITS, ("internal_leakage",))
     assert both.q.wanted == ("internal_leakage.c_il", "external_leakage.c_el")
@@ -126,7 +126,7 @@ def test_two_effects_are_asked_for_together(rig_file):
 
 
 def test_what_cannot_be_designed(rig_file):
-    spec = load_rig(rig_file)
+    spec = RigFile.load(rig_file)
     with pytest.raises(InputError, match="known effects"):
         design(spec, LIMITS, ("internal_leak", "stribeck"))
     with pytest.raises(InputError, match="noise of F"):

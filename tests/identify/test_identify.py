@@ -36,7 +36,8 @@ from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.parameters import specs
 from hydrojax.plant.replay import friction_memory
-from hydrojax.rigfile.build import load_rig, make_rig
+from hydrojax.rigfile.build import build_rig
+from hydrojax.rigfile.schema import RigFile
 from tests import generator
 
 SEED = 1
@@ -263,7 +264,7 @@ def test_a_failed_start_only_loses(recorded, monkeypatch):
     """A lane that is no number from the first step on leaves the others alone."""
     case = opened(recorded(SEED))
     names = tuple(free_parameters(case.spec))
-    problem = Problem.of(make_rig(case.spec, {}), free_parameters(case.spec), case.fit)
+    problem = Problem.of(build_rig(case.spec), free_parameters(case.spec), case.fit)
     values = problem.initial_values()
     seen = []
 
@@ -408,8 +409,8 @@ def coverage(tmp_path, monkeypatch) -> Callable[..., dict[str, float]]:
         drop = (set(generator.RANGES) - set(FRICTION)) | {"P_a1", "P_a2"}
         kept = [x for x in lines.splitlines() if x.split(" = ")[0] not in drop]
         (tmp_path / "rig.toml").write_text("\n".join(kept))
-        spec = load_rig(tmp_path / "rig.toml")
-        model, wanted = make_rig(spec, {}), free_parameters(spec)
+        spec = RigFile.load(tmp_path / "rig.toml")
+        model, wanted = build_rig(spec), free_parameters(spec)
         rng = np.random.default_rng(seed)
         rows = clean["time"].size
         sizes = {"psi": 0.0, "P_s": 9e3, "P_a1": noise_P, "P_a2": noise_P, "F": 2.5}
@@ -494,7 +495,7 @@ chamber_length = "0.2 m"
 @pytest.fixture
 def bench(tmp_path):
     (tmp_path / "rig.toml").write_text(BENCH)
-    return load_rig(tmp_path / "rig.toml")
+    return RigFile.load(tmp_path / "rig.toml")
 
 
 @pytest.mark.parametrize("hole", ["gap", "NaN"])
@@ -549,7 +550,7 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
 def test_runs_of_a_long_log_are_what_the_whole_gives(recorded, monkeypatch):
     """Every window, and what friction remembers there, within what `SETTLE` forgets."""
     case = recorded(1, None, 30.0)
-    spec = load_rig(case / "rig.toml")
+    spec = RigFile.load(case / "rig.toml")
     log = Log.load(case / "fit_1.csv", spec.channels)
     whole = prepare((log,), spec)
     ticks = whole.windows.u.shape[1]
@@ -565,7 +566,7 @@ def test_runs_of_a_long_log_are_what_the_whole_gives(recorded, monkeypatch):
     for name in ("t", "u", "before", "P_s", "measured", "x_fine", "v", "a"):
         got, want = (np.asarray(getattr(d.windows, name)) for d in (some, whole))
         np.testing.assert_allclose(got, want[at], atol=1e-6 * np.max(np.abs(want)))
-    rig = make_rig(spec, {})
+    rig = build_rig(spec)
     for got, want in zip(
         *(friction_memory(rig, d.motion).within(d.windows) for d in (some, whole)),
         strict=True,
@@ -641,7 +642,7 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
         rig.write_text(
             rig.read_text() + '[channels]\npsi = { column = "psi", invert = true }\n'
         )
-    spec = load_rig(rig)
+    spec = RigFile.load(rig)
     data = prepare([Log.load(p, spec.channels) for p in logs], spec)
     assert data.driven_by == "pressures"
     assert runs_backward(data) == (sign < 0)
@@ -684,7 +685,7 @@ def test_a_segment_that_begins_late_had_stood_still():
 
 def test_motion_under_a_command_is_never_turned(recorded):
     case = recorded(SEED)
-    spec = load_rig(case / "rig.toml")
+    spec = RigFile.load(case / "rig.toml")
     data = prepare([Log.load(case / "fit_1.csv")], spec, sign=-1.0)
     assert data.driven_by == "u"
     assert not runs_backward(data)

@@ -20,7 +20,7 @@ from hydrojax.errors import InputError
 from hydrojax.identify.preparation.data import prepare
 from hydrojax.logs.log import Log
 from hydrojax.logs.signals import Channel
-from hydrojax.rigfile.build import load_rig
+from hydrojax.rigfile.schema import RigFile
 
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
@@ -224,7 +224,7 @@ def test_a_copy_gives_the_same_log(tmp_path, short, kind):
 
 def test_a_copy_gives_the_same_windows(tmp_path):
     """End to end: what the replay runs on, from an MCAP copy and from the CSV."""
-    spec = load_rig(DEMO / "rig.toml")
+    spec = RigFile.load(DEMO / "rig.toml")
     path = write_json(tmp_path / "fit_1.mcap", demo_topics())
     given = [Log.load(DEMO / "fit_1.csv.gz"), Log.load(path, CHANNELS)]
     plain, mine = (prepare([log], spec) for log in given)
@@ -582,7 +582,7 @@ def test_the_pages_rigs_are_rigs(tmp_path):
     for text in whole:
         path = tmp_path / "rig.toml"
         path.write_text(text)
-        load_rig(path)
+        RigFile.load(path)
 
 
 def test_the_pages_python_writes_a_log(tmp_path, monkeypatch):

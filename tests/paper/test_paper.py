@@ -12,7 +12,7 @@ import pytest
 
 from hydrojax import cli
 from hydrojax.paper import experiments
-from hydrojax.rigfile.controller import make_loop
+from hydrojax.rigfile.build import build_loop
 
 LETTERS = ("a", "b", "c", "d")
 
@@ -143,7 +143,7 @@ def test_the_cases_are_the_papers():
     kappa = 1.18e-4
 
     def law(figure, case):
-        return make_loop(spec, rig, experiments.FIGURES[figure][case]).law
+        return build_loop(spec, rig, experiments.FIGURES[figure][case]).law
 
     full = law("fig3", "a")
     assert float(full.k_p) == pytest.approx(1.2e-3 * kappa)

@@ -3,8 +3,9 @@
 import pytest
 
 from hydrojax.errors import InputError
-from hydrojax.rigfile.build import load_rig, make_effects
+from hydrojax.rigfile.build import effects_of, over_travel
 from hydrojax.rigfile.edit import rewrite
+from hydrojax.rigfile.schema import RigFile
 
 RIG = """# mine
 name = "a rig"
@@ -33,13 +34,13 @@ k_p = "1.2 V/kN"
 def spec(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(RIG)
-    return load_rig(path)
+    return RigFile.load(path)
 
 
 def reread(tmp_path, text):
     path = tmp_path / "new.toml"
     path.write_text(text)
-    return load_rig(path)
+    return RigFile.load(path)
 
 
 def test_what_did_not_change_stays_to_the_letter(spec):
@@ -81,17 +82,26 @@ def test_controller_and_name(spec, tmp_path):
 def test_a_profile_keeps_the_travel_that_it_was_laid_over(spec, tmp_path):
     """Under logs of another travel the same file means the same wave."""
     values, added = {"position_friction.s_1": 0.3}, ("position_friction",)
-    text = rewrite(spec, values, added, travel=(-0.012, 0.031))
+    text = rewrite(over_travel(spec, (-0.012, 0.031)), values, added)
     new = reread(tmp_path, text)
     for travel in ((-0.012, 0.031), (-0.05, 0.05)):
-        effect = make_effects(added, new, travel)["position_friction"]
+        file = over_travel(new, travel)
+        effect = effects_of(added, file)["position_friction"]
         assert float(effect.x_from) == pytest.approx(-0.012)
         assert float(effect.x_to) == pytest.approx(0.031)
     # What the file says stays, and no other effect asks for it.
-    again = rewrite(new, {}, travel=(-1.0, 1.0))
+    again = rewrite(over_travel(new, (-1.0, 1.0)), {})
     assert again == text
-    plain = rewrite(spec, {}, ("internal_leakage",), travel=(-1.0, 1.0))
+    plain = rewrite(over_travel(spec, (-1.0, 1.0)), {}, ("internal_leakage",))
     assert "x_from" not in plain
+
+
+def test_a_declared_profile_is_the_files_own_under_any_log(tmp_path):
+    """A file that declares one without its ends means half a chamber to each side."""
+    declared = RIG + '\n[effects.position_friction]\ns_1 = "0.3"\n'
+    file = reread(tmp_path, declared)
+    assert file.stroke == pytest.approx((-0.1, 0.1))
+    assert over_travel(file, (-0.012, 0.031)) == file
 
 
 def test_a_travel_with_one_end_or_turned_round_is_refused(tmp_path):

@@ -8,7 +8,8 @@ import pytest
 
 from hydrojax.errors import InputError
 from hydrojax.parameters import Spec
-from hydrojax.rigfile.schema import Entry, RigFile, read_rig
+from hydrojax.rigfile.entries import Entry
+from hydrojax.rigfile.schema import RigFile, read_rig
 
 
 def spec(unit: str, **more) -> Spec:
@@ -79,7 +80,7 @@ k = 3
 def read(tmp_path: Path, text: str) -> RigFile:
     path = tmp_path / "rig.toml"
     path.write_text(text, encoding="utf-8")
-    return read_rig(path, PARAMETERS, EFFECTS)
+    return read_rig(path.read_text(), str(path), PARAMETERS, EFFECTS)
 
 
 def swapped(old: str, new: str) -> str:
@@ -110,7 +111,7 @@ def test_sound_rig(tmp_path: Path) -> None:
     assert rig.sensors == pytest.approx(
         {"P_a1": 9e3, "psi": 1.7453292519943295e-4, "u": 2e-3}
     )
-    assert rig.load == {"F": 0.0}
+    assert rig.output_load == {"F": 0.0}
     assert rig.channels["u"].model_dump() == {
         "column": "MainU", "unit": "V", "invert": True,
     }  # fmt: skip
@@ -275,7 +276,12 @@ def test_bad_value(tmp_path: Path, old: str, new: str, words: tuple[str, ...]) -
 
 
 def test_section_that_is_no_table(tmp_path: Path) -> None:
-    refusal(tmp_path, 'layout = "single"\nload = "0 N"', "load: '0 N'", "a table")
+    refusal(
+        tmp_path,
+        'layout = "single"\nload = "0 N"',
+        "load: invalid value '0 N'",
+        "expected a table",
+    )
 
 
 def test_commands_in_volts_and_without_a_unit(tmp_path: Path) -> None:
@@ -290,8 +296,8 @@ def test_not_toml(tmp_path: Path) -> None:
     refusal(tmp_path, swapped("P_s = ", "P_s "), "not TOML", "line 12")
     (tmp_path / "rig.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not TOML"):
-        read_rig(tmp_path / "rig.toml", PARAMETERS, EFFECTS)
+        RigFile.load(tmp_path / "rig.toml")
     with pytest.raises(InputError, match="cannot be read"):
-        read_rig(tmp_path / "none.toml", PARAMETERS, EFFECTS)
+        RigFile.load(tmp_path / "none.toml")
     with pytest.raises(InputError, match="cannot be read"):
-        read_rig(tmp_path, PARAMETERS, EFFECTS)
+        RigFile.load(tmp_path)

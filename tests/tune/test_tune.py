@@ -23,8 +23,8 @@ from scipy import fft
 from hydrojax import cli
 from hydrojax.errors import InputError
 from hydrojax.paper.experiments import reference
-from hydrojax.rigfile.build import load_rig
 from hydrojax.rigfile.quantities import open_setting, quantities
+from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import api, axes, measure, optimize, report, result
 from hydrojax.tune.objective import KEEPS, Goal, Limits
 
@@ -232,7 +232,7 @@ def test_a_rig_file_keeps_its_comments(tmp_path):
     assert made["k_p"] == "2.5 V/kN" and made["tau_d"] == "0.001 s"
     assert list(made["A_a"]) == ["5 V*s", "15 V*s"]
     (tmp_path / "rig.toml").write_text(text)
-    law = open_setting(load_rig(tmp_path / "rig.toml")).loop.law
+    law = open_setting(RigFile.load(tmp_path / "rig.toml")).loop.law
     assert float(law.k_p) == pytest.approx(2.5e-3 * 1.18e-4)
 
 
@@ -271,7 +271,7 @@ def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
         "data:image",
     ):
         assert said in page
-    new = load_rig(out / "rig.toml")
+    new = RigFile.load(out / "rig.toml")
     assert new.effects and new.controller["k_p"] != "1.2 V/kN"
 
 

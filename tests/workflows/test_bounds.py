@@ -13,7 +13,7 @@ from hydrojax.control.simulation import make_scenario
 from hydrojax.identify.estimation.box import Stretch, smallest_box
 from hydrojax.paper.experiments import reference
 from hydrojax.plant.named import put
-from hydrojax.rigfile import controller
+from hydrojax.rigfile.build import build_loop
 from hydrojax.tune.refine import Plants, refine, tracking, with_bounds
 
 NAMES = ("k_cp", "k_cn", "k_0")
@@ -66,7 +66,7 @@ def test_the_box_keeps_inside_what_may_be():
 @pytest.fixture(scope="module")
 def loop_and_courses():
     spec, rig = reference()
-    loop = controller.make_loop(spec, rig)
+    loop = build_loop(spec, rig)
     t = np.arange(2000) * 1e-3
     F_d = 300 * np.sin(2 * np.pi * 0.7 * t)
     scenarios = [
@@ -115,7 +115,7 @@ def test_tracking_of_a_plant_is_its_run(loop_and_courses):
 def test_the_command_needs_a_range(tmp_path, capsys, monkeypatch):
     from importlib import resources
 
-    rig = resources.files("hydrojax") / "reference" / "rig.toml"
+    rig = resources.files("hydrojax") / "paper" / "reference.toml"
     monkeypatch.chdir(tmp_path)
     main(f"simulate {rig} --seconds 4 --out a.csv", monkeypatch)
     with pytest.raises(SystemExit) as end:
@@ -139,9 +139,9 @@ def test_the_command_writes_a_rig_with_bounds(tmp_path, capsys, monkeypatch):
     """Two logs of the reference rig: the rig written carries bounds that hold it."""
     from importlib import resources
 
-    from hydrojax.rigfile.build import load_rig
+    from hydrojax.rigfile.schema import RigFile
 
-    text = (resources.files("hydrojax") / "reference" / "rig.toml").read_text()
+    text = (resources.files("hydrojax") / "paper" / "reference.toml").read_text()
     for name, start, low, high in (("k_cp", 1.1, 0, 3), ("k_cn", 1.0, 0, 3)):
         old = next(x for x in text.splitlines() if x.startswith(f"{name} ="))
         new = f'{name} = {{ start = "{start} kN", range = ["{low} kN", "{high} kN"] }}'
@@ -153,7 +153,7 @@ def test_the_command_writes_a_rig_with_bounds(tmp_path, capsys, monkeypatch):
             f"simulate rig.toml --seconds 5 --seed {seed} --out {seed}.csv", monkeypatch
         )
     main("bounds rig.toml 1.csv --validate 2.csv --out out", monkeypatch)
-    new = load_rig(tmp_path / "out" / "rig.toml")
+    new = RigFile.load(tmp_path / "out" / "rig.toml")
     assert len(new.controller["k_cp"]) == 2
     found = json.loads((tmp_path / "out" / "bounds.json").read_text())
     box = found["bounds"]["box"]
