@@ -76,7 +76,7 @@ def test_every_page_is_there(site):
     [
         "hydrojax.identify.case.open_case",
         "hydrojax.identify.api.trace_case",
-        "hydrojax.identify.results.outcome.Outcome.plot",
+        "hydrojax.identify.result.Result.plot",
         "hydrojax.plant.rig.Rig.step",
         "hydrojax.control.loop.run",
         "hydrojax.control.simulation.simulate",

@@ -32,6 +32,7 @@ from hydrojax.identify.preparation.data import prepare, runs_backward
 from hydrojax.identify.preparation.noise import estimate_noise, motion_band, smooth
 from hydrojax.identify.results import summary
 from hydrojax.identify.results.outcome import Outcome
+from hydrojax.identify.results.parameters import parameter_of
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.parameters import specs
@@ -456,7 +457,7 @@ def test_a_reciprocal_is_shown_with_its_own_spread(effect, stored, shown, unit, 
         {name: std}, frozenset(), (), (), (name,), covariance, {name: ends}
     )
     case = SimpleNamespace(spec=SimpleNamespace(command_unit="V"))
-    got, p = summary._one(name, case, state, belief, spec)
+    got, p = parameter_of(name, case, state, belief, spec)
     drawn = 1 / np.random.default_rng(7).normal(value, std, 200_000)
     assert (got, p.unit, p.identified) == (shown, unit, True)
     assert (p.value, p.start) == pytest.approx((1 / value, 1 / start))

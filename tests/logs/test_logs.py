@@ -535,3 +535,25 @@ def test_array_to_si() -> None:
 def test_with_command(unit: str, volts: str, plain: str) -> None:
     assert units.with_command(unit, "V") == volts
     assert units.with_command(unit, "1") == plain
+
+
+def test_a_table_is_read_as_a_file_is(tmp_path):
+    frame = pd.DataFrame(a_run())
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    one, other = Log.load(tmp_path / "log.csv"), Log.from_frame(frame)
+    for name, values in one.signals.items():
+        np.testing.assert_allclose(other.signals[name], values, rtol=1e-12)
+    assert (one.units, one.segments) == (other.units, other.segments)
+
+
+def test_a_table_has_its_units_beside_it_and_comes_back():
+    plain = pd.DataFrame({k.split(" ")[0]: v for k, v in a_run().items()})
+    units_of = {k.split(" ")[0]: k.split("[")[1][:-1] for k in a_run()}
+    log = Log.from_frame(plain.set_index("time"), units=units_of)
+    again = Log.from_frame(log.to_frame())
+    np.testing.assert_array_equal(again.time, log.time)
+    np.testing.assert_allclose(log.signals["P_a1"], 1e5 * plain["P_a1"])
+    for name, values in log.signals.items():
+        np.testing.assert_array_equal(again.signals[name], values)
+    with pytest.raises(InputError, match="'P_a1' has no unit"):
+        Log.from_frame(plain, units={k: u for k, u in units_of.items() if k != "P_a1"})
