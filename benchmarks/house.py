@@ -167,10 +167,10 @@ def _functions(tree: ast.Module) -> Iterator[ast.FunctionDef]:
 def long_functions() -> list[str]:
     """Functions past `LONG_FUNCTION` lines, as `module.name (lines)`."""
     return [
-        f"{module}.{f.name} ({f.end_lineno - f.lineno + 1})"
+        f"{module}.{f.name} ({lines})"
         for module, path in modules().items()
         for f in _functions(parsed(path))
-        if (f.end_lineno or 0) - f.lineno + 1 > LONG_FUNCTION
+        if (lines := (f.end_lineno or 0) - f.lineno + 1) > LONG_FUNCTION
     ]
 
 
@@ -244,7 +244,7 @@ def files_run() -> list[str]:
 
 def main() -> None:
     """Print every figure, and beside it what it counts."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--static", action="store_true", help="read the sources only")
     parser.add_argument("--list", action="store_true", help="name what is counted")
     given = parser.parse_args()

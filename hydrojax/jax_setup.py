@@ -114,3 +114,33 @@ def user_cache() -> Path:
     """Where this user's compiled programs are kept between runs."""
     home = os.environ.get("XDG_CACHE_HOME")
     return (Path(home) if home else Path.home() / ".cache") / "hydrojax"
+
+
+def ensure_jax() -> None:
+    """Set JAX up at the first use of the front door, if nobody has done it before.
+
+    Double precision, the CPU settings of fits, and a cache of compiled programs in the
+    user's cache folder; one line on stderr says so. A program that has set
+    `jax_enable_x64` itself is left as it is.
+
+    Raises:
+        RuntimeError: JAX is running in single precision already, so that arrays made
+            before would be of the wrong kind; the message holds the line to write.
+    """
+    import jax
+
+    if jax.config.read("jax_enable_x64"):
+        return
+    if _running():
+        raise RuntimeError(
+            "JAX is running in single precision already, and hydrojax needs double: "
+            "call hydrojax.set_up_jax(), or write "
+            'jax.config.update("jax_enable_x64", True), before anything else uses JAX'
+        )
+    cache = user_cache()
+    set_up_jax(cache)
+    print(
+        f"hydrojax: JAX is set to double precision; compiled programs are kept in "
+        f"{cache}",
+        file=sys.stderr,
+    )

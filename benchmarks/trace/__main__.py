@@ -70,11 +70,11 @@ def main(
         TextColumn("left"),
         TimeRemainingColumn(elapsed_when_finished=False),
     )
-    with Progress(*columns, console=console, speed_estimate_period=600) as progress:
-        task = progress.add_task("cases", total=len(specs))
+    with Progress(*columns, console=console, speed_estimate_period=600) as bar:
+        task = bar.add_task("cases", total=len(specs))
 
         def progress(what: str, done: int, total: int) -> None:
-            progress.update(task, description=what, completed=done, total=total)
+            bar.update(task, description=what, completed=done, total=total)
 
         rows = score.score(specs, out, tracer, jobs=jobs, progress=progress)
         if refits:

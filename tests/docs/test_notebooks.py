@@ -3,10 +3,16 @@
 import ast
 import os
 from pathlib import Path
+from typing import Any
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
+
+nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed: [full]")
+nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed: [full]")
+pytest.importorskip("ipykernel", reason="ipykernel is not installed: [full]")
+
+Notebook = Any
+"""`nbformat.NotebookNode`, of a package that may be missing."""
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 
@@ -19,7 +25,7 @@ MEASURED = Path(os.environ.get("HYDROJAX_DATA", "") or "no-such-folder")
 MOST_BYTES = 1_000_000
 
 
-def read(stem: str) -> nbformat.NotebookNode:
+def read(stem: str) -> Notebook:
     """A notebook by its name."""
     (path,) = (p for p in NOTEBOOKS if p.stem == stem)
     return nbformat.read(path, as_version=4)
@@ -33,7 +39,7 @@ def assigned(code: str) -> set[str]:
     }
 
 
-def made_small(notebook: nbformat.NotebookNode, code: str) -> nbformat.NotebookNode:
+def made_small(notebook: Notebook, code: str) -> Notebook:
     """The notebook with its parameters replaced by those of the tests."""
     (cell,) = (c for c in notebook.cells if "parameters" in c.metadata.get("tags", ()))
     assert assigned(cell.source) == assigned(code)
@@ -41,17 +47,17 @@ def made_small(notebook: nbformat.NotebookNode, code: str) -> nbformat.NotebookN
     return notebook
 
 
-def outputs(notebook: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
+def outputs(notebook: Notebook) -> list[Notebook]:
     """Every output of every cell."""
     return [o for c in notebook.cells if c.cell_type == "code" for o in c.outputs]
 
 
-def drawn(notebook: nbformat.NotebookNode) -> int:
+def drawn(notebook: Notebook) -> int:
     """How many pictures there are."""
     return sum("image/png" in o.get("data", {}) for o in outputs(notebook))
 
 
-def printed(notebook: nbformat.NotebookNode) -> str:
+def printed(notebook: Notebook) -> str:
     """All that was printed and shown as text or tables."""
     parts = []
     for output in outputs(notebook):
@@ -61,14 +67,14 @@ def printed(notebook: nbformat.NotebookNode) -> str:
     return "\n".join(parts)
 
 
-def run(stem: str) -> nbformat.NotebookNode:
+def run(stem: str) -> Notebook:
     """Run a notebook, at a small size where it has one."""
     notebook = read(stem)
     if stem in SMALL:
         made_small(notebook, SMALL[stem])
     for output in (c for c in notebook.cells if c.cell_type == "code"):
         output.outputs = []
-    NotebookClient(notebook, timeout=900).execute()
+    nbclient.NotebookClient(notebook, timeout=900).execute()
     return notebook
 
 

@@ -119,7 +119,7 @@ ON_TWO = """
 import sys
 from pathlib import Path
 import jax
-from hydrojax.backend import set_up_jax
+from hydrojax.jax_setup import set_up_jax
 set_up_jax(Path(sys.argv[1]))
 from tests.tune import test_sweep as t
 setting = t.open_setting(t.SPEC)
