@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from hydrojax.paper.experiments import reference
+from hydrojax.tune.limiting import Relaxed
 from hydrojax.tune.objective import Limits
-from hydrojax.tune.optimize import Found
-from hydrojax.tune.result import Relaxed, Tuned
+from hydrojax.tune.optimize import Optimum
+from hydrojax.tune.result import Tuned
+
+SPEC, _ = reference()
 
 HERTZ = np.geomspace(0.5, 200, 60)
 EDGES = np.array([1.0, 1.1, 0.875])
@@ -14,7 +20,7 @@ EDGES = np.array([1.0, 1.1, 0.875])
 
 
 def found(edge: float, stable: tuple[bool, ...]) -> dict[str, np.ndarray]:
-    """Merits of three plants whose lag of first order is down 3 dB at `edge` Hz."""
+    """Metrics of three plants whose lag of first order is down 3 dB at `edge` Hz."""
     alive = np.array(stable)
     band = np.where(alive, edge * EDGES, np.nan)
     other = np.where(alive, [2.0, 2.5, 2.2], np.nan)
@@ -31,14 +37,14 @@ def found(edge: float, stable: tuple[bool, ...]) -> dict[str, np.ndarray]:
 def tuned() -> Tuned:
     """Two gains over three plants, one of them unstable before."""
     return Tuned(
-        rig="STVF joint 1",
+        file=replace(SPEC, name="STVF joint 1"),
         gains={"k_p": 1.31, "k_f": 3.2},
         units={"k_p": "V/kN", "k_f": "V/kN"},
         start={"k_p": 1.2, "k_f": 2.4},
         before=found(16.0, (True, True, False)),
         after=found(32.0, (True, True, True)),
         hertz=HERTZ,
-        found=Found(
+        optimum=Optimum(
             np.array([1.31, 3.2]),
             float(np.log(28.0)),
             {"peak": 0.0, "sensitivity": 0.4, "tracking": -0.3},
@@ -47,7 +53,7 @@ def tuned() -> Tuned:
         relaxed=(Relaxed("spool: ten times as fast", 38.0, 38 / 28 - 1),),
         plants="3 plants within 20 % of the rig in what it is made of",
         limits=Limits(),
-        promises=(
+        comparison=(
             ("old gains", {"within_1dB_Hz": 16.3, "peak_dB": 11.6, "rms_N": 7.7}),
         ),
         notes=("A note.",),

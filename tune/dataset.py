@@ -15,7 +15,7 @@ from hydrojax import __version__, units
 from hydrojax.tune import measure, metrics
 
 if TYPE_CHECKING:
-    from hydrojax.tune.sweep import Plan
+    from hydrojax.tune.plan import Plan
 
 POINT = (
     "at rest: F_0 on the output, valve shut; moving: where a slow loop stands as the "
@@ -44,7 +44,7 @@ def dataset(plan: Plan, found: Mapping[str, Mapping[str, np.ndarray]]) -> xr.Dat
         "operating_point": POINT,
         "adaptation": "linear: frozen; measured: "
         + ("frozen" if plan.frozen else "as the law runs"),
-        "plants": plan.plants.says if plan.plants else "the rig's own",
+        "plants": plan.plants.description if plan.plants else "the rig's own",
     })  # fmt: skip
     for axis in plan.axes:
         attrs = {"units": axis.quantity.unit, "long_name": axis.quantity.description}
@@ -63,7 +63,9 @@ def _add(
 ) -> None:  # fmt: skip
     is_linear = method == "linear"
     wants, says = (
-        (metrics.UNITS, metrics.SAYS) if is_linear else (measure.UNITS, measure.SAYS)
+        (metrics.UNITS, metrics.DESCRIPTIONS)
+        if is_linear
+        else (measure.UNITS, measure.DESCRIPTIONS)
     )
     for name, unit in wants.items():
         attrs = {"units": units.with_command(unit, plan.unit), "long_name": says[name]}

@@ -28,8 +28,11 @@ UNITS = {
 }  # fmt: skip
 """What a measurement gives."""
 
-SAYS = {
-    **{name: metrics.SAYS[name] for name in ("within_1dB", "minus_3dB", "lag_90")},
+DESCRIPTIONS = {
+    **{
+        name: metrics.DESCRIPTIONS[name]
+        for name in ("within_1dB", "minus_3dB", "lag_90")
+    },
     "peak": "largest |F/F_d| among the lines",
     "rms_error": "RMS of F_d - F",
     "saturation": "share of the samples in which the command saturates",

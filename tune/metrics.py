@@ -1,14 +1,15 @@
-"""What a frequency response is worth: bandwidths, peak, margins, noise."""
+"""Metrics of a frequency response: bandwidths, peak, margins, noise."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Complex, Float
 
-LEAST_HZ, LINES = 0.5, 160
+MIN_HZ, LINES = 0.5, 160
 """Where the grid of frequencies begins, and how many it has up to half the rate."""
 
 UNITS = {
@@ -16,35 +17,37 @@ UNITS = {
     "gain_margin": "dB", "phase_margin": "deg", "delay_margin": "s",
     "radius": "1", "noise_F": "N", "noise_u": "{u}", "push": "{u}/N",
 }  # fmt: skip
-"""What `merits` gives, and its units."""
+"""What `loop_metrics` gives, and its units."""
 
-SAYS = {
+DESCRIPTIONS = {
     "within_1dB": "highest frequency up to which |F/F_d| is within 1 dB",
     "minus_3dB": "where |F/F_d| first falls below -3 dB",
     "lag_90": "where F first lags F_d by 90 degrees",
     "peak": "largest |F/F_d|",
-    "gain_margin": "factor on the command that the loop bears",
-    "phase_margin": "least phase margin of the loop opened at the command",
-    "delay_margin": "further delay that the loop bears",
-    "radius": "largest |eigenvalue| of a sample's step: stable below 1",
-    "noise_F": "RMS of F by the sensors' noise alone",
-    "noise_u": "RMS of the command by the sensors' noise alone",
+    "gain_margin": "gain margin of the loop opened at the command",
+    "phase_margin": "smallest phase margin of the loop opened at the command",
+    "delay_margin": "delay margin of the loop opened at the command",
+    "radius": "spectral radius of the sampled loop: stable below 1",
+    "noise_F": "RMS of F due to sensor noise alone",
+    "noise_u": "RMS of the command due to sensor noise alone",
     "push": "largest |u/F_d| up to within_1dB",
 }
 
 
-def grid(rate: float, lines: int = LINES) -> np.ndarray:
-    """Frequencies from LEAST_HZ to just below half the rate, [lines], Hz."""
-    return np.geomspace(LEAST_HZ, 0.499 * rate, lines)
+def grid(rate: float, lines: int = LINES) -> Float[np.ndarray, "lines"]:
+    """Frequencies from MIN_HZ to just below half the rate, Hz."""
+    return np.geomspace(MIN_HZ, 0.499 * rate, lines)
 
 
-def dB(H: Array) -> Array:
-    """Size in dB, finite with its derivative where H is 0."""
+def dB(H: Complex[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Magnitude in dB, finite with its derivative where H is 0."""
     return 10 * jnp.log10(jnp.real(H) ** 2 + jnp.imag(H) ** 2 + 1e-30)
 
 
-def first(hertz: Array, inside: Array) -> Array:
-    """The frequency at which `inside` [n] first goes below 0, by line, Hz.
+def first(
+    hertz: Float[Array, "lines"], inside: Float[Array, "lines"]
+) -> Float[Array, ""]:
+    """Where `inside` first falls below 0, linearly interpolated, Hz.
 
     The first frequency if it is below there already, the last if it never is.
     """
@@ -58,7 +61,9 @@ def first(hertz: Array, inside: Array) -> Array:
     return jnp.where(jnp.any(out), found, hertz[-1])
 
 
-def within(hertz: Array, H: Array, most: float = 1.0) -> Array:
+def within(
+    hertz: Float[Array, "lines"], H: Complex[Array, "lines"], most: float = 1.0
+) -> Float[Array, ""]:
     """The highest frequency up to which |H| stays within `most` dB, Hz.
 
     0 where it is not even at the first.
@@ -67,8 +72,10 @@ def within(hertz: Array, H: Array, most: float = 1.0) -> Array:
     return jnp.where(inside[0] < 0, 0.0, first(hertz, inside))
 
 
-def soft_inside(H: Array, most: float | Array, width: float) -> Array:
-    """How well |H| has been within `most` dB up to each frequency, 1 to 0, [n].
+def soft_inside(
+    H: Complex[Array, "lines"], most: float | Float[Array, ""], width: float
+) -> Float[Array, "lines"]:
+    """How well |H| has been within `most` dB up to each frequency, 1 to 0.
 
     `width` (dB) is over how much "within" fades.
     """
@@ -76,17 +83,19 @@ def soft_inside(H: Array, most: float | Array, width: float) -> Array:
     return jnp.exp(jnp.cumsum(-jnp.logaddexp(0.0, -inside)))
 
 
-def unwrapped(H: Array) -> Array:
+def unwrapped(H: Complex[Array, "lines"]) -> Float[Array, "lines"]:
     """Phase without jumps, rad."""
     return jnp.unwrap(jnp.angle(H))
 
 
-def margins(hertz: Array, L: Array) -> tuple[Array, Array, Array]:
-    """Gain margin (dB), phase margin (deg) and delay margin (s) of a loop, [n].
+def margins(
+    hertz: Float[Array, "lines"], L: Complex[Array, "lines"]
+) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+    """Gain margin (dB), phase margin (deg) and delay margin (s) of an open loop.
 
-    The loop is opened at the command. Least over all crossings on the grid, each found
-    by line. A gain that may only be lowered counts not: that edge is the delay's.
-    inf where nothing crosses.
+    The loop is opened at the command. The smallest over all crossings on the grid,
+    each interpolated linearly. Lowering the gain is not counted as a margin: that
+    limit shows in the delay margin. inf where nothing crosses.
     """
     size, phase = dB(L), jnp.unwrap(jnp.angle(L))
     # Phase crossings: Im L = 0 with Re L < 0.
@@ -107,17 +116,21 @@ def margins(hertz: Array, L: Array) -> tuple[Array, Array, Array]:
     return gain, jnp.rad2deg(phase_margin), delay
 
 
-def rms(hertz: Array, H: Array) -> Array:
+def rms(hertz: Float[Array, "lines"], H: Complex[Array, "lines"]) -> Float[Array, ""]:
     """RMS of white noise of one sample's variance 1 behind H, up to half the rate."""
     power = jnp.abs(H) ** 2
     area = jnp.sum((power[1:] + power[:-1]) / 2 * jnp.diff(hertz))
     return jnp.sqrt((area + power[0] * hertz[0]) / hertz[-1])
 
 
-def merits(hertz: Array, H: Array, radius: Array) -> dict[str, Array]:
-    """All of `UNITS`, of a response [n, 2, 5] as `linear.response` gives it.
+def loop_metrics(
+    hertz: Float[Array, "lines"],
+    H: Complex[Array, "lines 2 5"],
+    radius: Float[Array, ""],
+) -> dict[str, Float[Array, ""]]:
+    """All of `UNITS`, of a response as `linearize.response` gives it.
 
-    An unstable loop has no bandwidth: NaN, but for its radius.
+    An unstable loop has no bandwidth: all are NaN, except its radius.
     """
     track, push = H[:, 0, 0], H[:, 1, 0]
     L = 1 / H[:, 1, 1] - 1  # what is added to the command comes out as 1 / (1 + L)
@@ -147,11 +160,33 @@ def number(value: Any) -> Any:
     return float(value) if np.isfinite(value) else None
 
 
-def least(values: np.ndarray) -> float:
-    """The least bandwidth: an unstable plant has none."""
+def minimum(values: Float[np.ndarray, "plants"]) -> float:
+    """The smallest bandwidth: that of an unstable plant is 0."""
     return float(np.min(np.nan_to_num(values, nan=0.0)))
 
 
-def most(values: np.ndarray) -> float | None:
-    """The largest, None if one is unstable."""
+def maximum(values: Float[np.ndarray, "plants"]) -> float | None:
+    """The largest value; None if a plant is unstable."""
     return number(np.max(values))
+
+
+SUMMARY = {"within_1dB": "within_1dB_Hz", "peak": "peak_dB", "rms": "rms_N"}
+"""The metrics in tune.json, and their names there."""
+
+
+def rig_metrics(
+    found: Mapping[str, Float[np.ndarray, "plants *rest"]],
+) -> dict[str, float | None]:
+    """The metrics of the rig itself by tune.json's names; None where it is unstable."""
+    return {name: number(found[key][0]) for key, name in SUMMARY.items()}
+
+
+def worst_metrics(
+    found: Mapping[str, Float[np.ndarray, "plants *rest"]],
+) -> dict[str, float | None]:
+    """The metrics of the worst plant by tune.json's names; None if one is unstable."""
+    return {
+        "within_1dB_Hz": minimum(found["within_1dB"]),
+        "peak_dB": maximum(found["peak"]),
+        "rms_N": maximum(found["rms"]),
+    }

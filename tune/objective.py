@@ -8,6 +8,7 @@ differentiable in the gains, through the Jacobian of the step and through the ru
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.control.inputs import to_and_fro
 from hydrojax.control.loop import Scenario, run
@@ -23,7 +24,7 @@ from hydrojax.control.simulation import make_scenario
 from hydrojax.plant.named import put
 from hydrojax.rigfile.quantities import Quantity, Setting
 from hydrojax.tune import linearize, metrics, operating_point
-from hydrojax.tune.axes import Plants
+from hydrojax.tune.ensemble import Plants
 from hydrojax.tune.program import program
 
 SPEED, PERIOD = 0.03, 3.0
@@ -47,27 +48,27 @@ class Limits:
     """What the tuned loop must keep, for every plant of the ensemble.
 
     Attributes:
-        within: |F/F_d| up to the bandwidth, dB.
-        peak: largest |F/F_d|, dB.
-        sensitivity: largest |1 / (1 + L)| of the loop opened at the command, dB: 6 dB
-            hold a gain margin of 6 dB and a phase margin of 29 degrees.
+        within_dB: |F/F_d| up to the bandwidth, dB.
+        peak_dB: largest |F/F_d|, dB.
+        sensitivity_dB: largest |1 / (1 + L)| of the loop opened at the command: 6 dB
+            ensure a gain margin of 6 dB and a phase margin of 29 degrees.
         noise: RMS of the command by sensor noise, share of u_max.
         push: command at the setting's amplitude up to the bandwidth, share of u_max.
         tracking: RMS of F_d - F in the moving run, relative to the rig's own before.
         rejection: of disturbances at LOW_HZ, relative to before.
     """
 
-    within: float = 1.0
-    peak: float = 3.0
-    sensitivity: float = 6.0
+    within_dB: float = 1.0
+    peak_dB: float = 3.0
+    sensitivity_dB: float = 6.0
     noise: float = 0.01
     push: float = 0.9
     tracking: float = 3.0
     rejection: float = 0.7
 
 
-KEEPS = ("peak", "sensitivity", "noise", "push", "tracking", "rejection")
-"""The constraints, in the order in which `Goal` gives them."""
+CONSTRAINTS = ("peak", "sensitivity", "noise", "push", "tracking", "rejection")
+"""The constraints, in the order in which `Objective` gives them."""
 
 
 def moving(setting: Setting) -> Scenario:
@@ -79,7 +80,7 @@ def moving(setting: Setting) -> Scenario:
     return make_scenario(F_d, to_and_fro(SPEED, PERIOD), h, P_s, P_r, seed=0)
 
 
-def softmax(values: Array, sharp: float) -> Array:
+def softmax(values: Float[Array, "n"], sharp: float) -> Float[Array, ""]:
     """The largest of `values`, smoothly: `sharp` is 1 over what is seen as equal."""
     return jax.scipy.special.logsumexp(sharp * values) / sharp
 
@@ -93,7 +94,7 @@ class _Given(NamedTuple):
     low: Array  # dB
 
 
-class Goal:
+class Objective:
     """Bandwidth and constraints of a setting as functions of some of its quantities.
 
     Args:
@@ -116,7 +117,7 @@ class Goal:
             0 if still else round(operating_point.SETTLE / float(setting.loop.h))
         )
         # Nowhere 0, so that what a gain of 0 would leave out is among the states.
-        gains = jnp.asarray(np.maximum(1.01 * self.here(), 1e-4))
+        gains = jnp.asarray(np.maximum(1.01 * self.initial(), 1e-4))
         full = program(
             jax.vmap(lambda v: self._system(self._at(setting, gains, v), None))
         )
@@ -126,15 +127,15 @@ class Goal:
         self._run = jax.jit(self._tracking)
         self._run_slope = jax.jit(jax.jacfwd(self._tracking))
         self.before: dict[str, np.ndarray] = {}
-        self.before = self.look(None)
+        self.before = self.evaluate(None)
 
     def relaxed(
         self,
         setting: Setting | None = None,
-        values: np.ndarray | None = None,
+        values: Float[np.ndarray, "plants parameters"] | None = None,
         limits: Limits | None = None,
-    ) -> Goal:
-        """The same goal with other numbers; nothing is compiled anew.
+    ) -> Objective:
+        """The same objective with other numbers; nothing is compiled anew.
 
         What it must keep relative to before, it keeps relative to the same before.
         """
@@ -144,7 +145,7 @@ class Goal:
         out.limits = self.limits if limits is None else limits
         return out
 
-    def here(self) -> np.ndarray:
+    def initial(self) -> Float[np.ndarray, "gains"]:
         """The setting's own values of what is free, in their units."""
         return np.array([float(q.get(self.setting)) for q in self.free])
 
@@ -154,21 +155,37 @@ class Goal:
         given = None if gains is None else jnp.asarray(gains)
         return self._at(self.setting, given, values)
 
-    def look(self, gains: np.ndarray | None) -> dict[str, np.ndarray]:
-        """All merits of all plants, [m, ...], and their `rms`, N; None: as it is."""
+    def evaluate(
+        self, gains: Float[np.ndarray, "gains"] | None
+    ) -> dict[str, Float[np.ndarray, "plants *rest"]]:
+        """Metrics of all plants, and `rms` (N); None: with the gains as set."""
         given, g = self._given(), None if gains is None else jnp.asarray(gains)
         found = self._linear(g, given)
         rms = self._run(g, given)
         return {n: np.asarray(v) for n, v in found.items()} | {"rms": np.asarray(rms)}
 
-    def run(self, gains: np.ndarray) -> np.ndarray:
-        """RMS of F_d - F of each plant with the joint moving, [m], N."""
+    def over(self, free: list[Quantity], setting: Setting) -> Objective:
+        """The objective of other quantities of a setting, for its run alone."""
+        out = self.relaxed(setting=setting)
+        out.free = free
+        return out
+
+    def compiled_run(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+        """`run` as a compiled function, and its derivative by each gain."""
+        given = self._given()
+        run, slope = jax.jit(self._tracking), jax.jit(jax.jacfwd(self._tracking))
+        return lambda gains: run(gains, given), lambda gains: slope(gains, given)
+
+    def run(self, gains: Float[np.ndarray, "gains"]) -> Float[np.ndarray, "plants"]:
+        """RMS of F_d - F of each plant with the joint moving, N."""
         return np.asarray(jax.jit(self._tracking)(jnp.asarray(gains), self._given()))
 
-    def scores(self, gains: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Log bandwidth and constraints `KEEPS` (kept where >= 0), [7]; slopes; stable.
+    def scores(
+        self, gains: Float[np.ndarray, "gains"]
+    ) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "7 gains"], bool]:
+        """Log bandwidth and `CONSTRAINTS` (kept where >= 0), slopes, whether stable.
 
-        Slopes are per unit of each gain, [7, len(gains)].
+        Slopes are per unit of each gain.
         """
         given, g = self._given(), jnp.asarray(gains)
         slope, (value, radius) = self._slope(g, given)
@@ -185,7 +202,8 @@ class Goal:
         low = 0.0
         if self.before:
             low = float(np.max(self.before["low"])) - 20 * np.log10(keep.rejection)
-        limits = (keep.within, keep.peak, keep.sensitivity, keep.noise, keep.push)
+        shape = (keep.within_dB, keep.peak_dB, keep.sensitivity_dB)
+        limits = (*shape, keep.noise, keep.push)
         return _Given(
             self.setting, jnp.asarray(self.values), jnp.array(limits), jnp.asarray(low)
         )
@@ -209,7 +227,7 @@ class Goal:
         def one(plant):
             H, system = self._answer(self._at(given.setting, gains, plant))
             low = jnp.interp(LOW_HZ, self.hertz, metrics.dB(H[:, 1, 1]))
-            found = metrics.merits(self.hertz, H, linearize.radius(system))
+            found = metrics.loop_metrics(self.hertz, H, linearize.radius(system))
             return found | {"response": H[:, 0, 0], "low": low}
 
         return jax.vmap(one)(given.plants)

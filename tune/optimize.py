@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize
 
-from hydrojax.tune.objective import KEEPS, Goal
+from hydrojax.tune.objective import CONSTRAINTS, Limits, Objective
 
-MOST_STEPS = 40
+MAX_ITERATIONS = 40
 REACH = 30.0
 """How many times above or below where it starts a gain may go."""
 
@@ -19,7 +19,7 @@ TIGHT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Optimum:
     """The gains found, and what they give.
 
     Attributes:
@@ -40,17 +40,17 @@ class Found:
         return min(self.slack.values()) > -TIGHT
 
 
-def tune(
-    goal: Goal,
+def optimize_gains(
+    objective: Objective,
     starts: int = 4,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
     begin: np.ndarray | None = None,
-) -> Found:
+) -> Optimum:
     """The widest loop that keeps all limits.
 
     Args:
-        goal: what is wanted.
+        objective: bandwidth and constraints.
         starts: descents, the first from the present gains, the others at random.
         seed: of the random ones.
         progress: called with a line of text at each stage.
@@ -59,18 +59,19 @@ def tune(
     Returns:
         The best of those that break nothing; the one that breaks least if all do.
     """
-    here = np.array([max(g, f) for g, f in zip(
-        goal.here(), (_floor(q.name) for q in goal.free), strict=True)])  # fmt: skip
+    floors = (_floor(q.name) for q in objective.free)
+    pairs = zip(objective.initial(), floors, strict=True)
+    here = np.array([max(pair) for pair in pairs])
     first = here if begin is None else np.maximum(begin, 1e-9 * here)
     rng = np.random.default_rng([seed, 31])
     tries = [first] + [
         here * np.exp(rng.uniform(-np.log(10), np.log(3), here.size))
         for _ in range(starts - 1)
     ]
-    ends: list[Found] = []
+    ends: list[Optimum] = []
     for i, x in enumerate(tries):
         progress(f"descent {i + 1} of {len(tries)}")
-        ends.append(_descend(goal, here, _stable(goal, x)))
+        ends.append(_descend(objective, here, _stable(objective, x)))
     kept = [e for e in ends if e.kept]
     best = (
         max(kept, key=lambda e: e.log_band)
@@ -78,7 +79,7 @@ def tune(
         else max(ends, key=lambda e: min(e.slack.values()))
     )
     bands = tuple(float(np.exp(e.log_band)) if e in kept else np.nan for e in ends)
-    return Found(best.gains, best.log_band, best.slack, bands)
+    return Optimum(best.gains, best.log_band, best.slack, bands)
 
 
 def _floor(name: str) -> float:
@@ -86,38 +87,38 @@ def _floor(name: str) -> float:
     return {"tau_d": 2e-4, "tau_v": 2e-4}.get(name, 1e-6)
 
 
-def _stable(goal: Goal, x: np.ndarray) -> np.ndarray:
+def _stable(objective: Objective, x: np.ndarray) -> np.ndarray:
     """`x` with its feedback lowered until the loop is stable."""
-    feedback = np.array([q.name in ("k_p", "k_f") for q in goal.free])
+    feedback = np.array([q.name in ("k_p", "k_f") for q in objective.free])
     for _ in range(8):
-        if goal.scores(x)[2]:
+        if objective.scores(x)[2]:
             break
         x = np.where(feedback, 0.6 * x, x)
     return x
 
 
-def _descend(goal: Goal, here: np.ndarray, x: np.ndarray) -> Found:
+def _descend(objective: Objective, here: np.ndarray, x: np.ndarray) -> Optimum:
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
-    def look(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def scored(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         key = y.tobytes()
         if key not in seen:
             gains = here * np.exp(y)
-            value, slope, sound = goal.scores(gains)
+            value, slope, sound = objective.scores(gains)
             if not sound:  # beyond the edge: nothing there is worth going to
                 value, slope = np.full(value.size, -10.0), np.zeros(slope.shape)
             seen[key] = value, slope * gains
         return seen[key]
 
     done = optimize.minimize(
-        lambda y: -look(y)[0][0],
+        lambda y: -scored(y)[0][0],
         np.log(x / here),
-        jac=lambda y: -look(y)[1][0],
+        jac=lambda y: -scored(y)[1][0],
         bounds=[(-np.log(REACH), np.log(REACH))] * x.size,
-        constraints={"type": "ineq", "fun": lambda y: look(y)[0][1:],
-                     "jac": lambda y: look(y)[1][1:]},
+        constraints={"type": "ineq", "fun": lambda y: scored(y)[0][1:],
+                     "jac": lambda y: scored(y)[1][1:]},
         method="SLSQP",
-        options={"maxiter": MOST_STEPS, "ftol": 1e-4},
+        options={"maxiter": MAX_ITERATIONS, "ftol": 1e-4},
     )  # fmt: skip
     # The last point may be one of the line search; take the best that was looked at.
     best = max(
@@ -128,7 +129,40 @@ def _descend(goal: Goal, here: np.ndarray, x: np.ndarray) -> Found:
     )
     y = np.frombuffer(best[0]) if best else done.x
     value = best[1][0]
-    return Found(
+    return Optimum(
         here * np.exp(y), float(value[0]),
-        dict(zip(KEEPS, map(float, value[1:]), strict=True)), (),
+        dict(zip(CONSTRAINTS, map(float, value[1:]), strict=True)), (),
     )  # fmt: skip
+
+
+def find_gains(
+    objective: Objective, starts: int, progress: Callable[[str], None] = lambda _: None
+) -> tuple[Optimum, Objective, tuple[str, ...]]:
+    """The gains, with tracking and rejection given up where no gains keep all.
+
+    Args:
+        objective: bandwidth and constraints.
+        starts: number of descents.
+        progress: called with a line of text at each stage.
+
+    Returns:
+        The optimum, the objective that it is of, and a note on what was given up.
+    """
+    best = optimize_gains(objective, starts, progress=progress)
+    if best.kept:
+        return best, objective, ()
+    free = objective.relaxed(limits=_loose(objective.limits))
+    other = optimize_gains(
+        free, starts, progress=progress, begin=0.3 * objective.initial()
+    )
+    if min(other.slack.values()) <= min(best.slack.values()):
+        return best, objective, ()
+    note = (
+        "No gains keep the limits on peak and margins together with those on tracking "
+        "and rejection: the latter were given up."
+    )
+    return other, free, (note,)
+
+
+def _loose(limits: Limits) -> Limits:
+    return replace(limits, tracking=1e3, rejection=1e-2)

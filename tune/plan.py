@@ -1,135 +1,136 @@
-"""A sweep and a tuning from files and words: what the command line calls."""
+"""What a sweep does: its axes, methods, ensemble, excitations and chunks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
-import xarray as xr
+import jax
+import numpy as np
+from jaxtyping import Float
 
 from hydrojax.errors import InputError
-from hydrojax.rigfile.quantities import (
-    Quantity,
-    Setting,
-    find,
-    open_setting,
-    quantities,
-)
-from hydrojax.rigfile.schema import RigFile
-from hydrojax.tune import axes, sweep
-from hydrojax.tune.axes import Plants
-from hydrojax.tune.swept import (
-    sentences as sentences,  # and so `data.hydrojax` is known
-)
+from hydrojax.rigfile.fingerprint import code_fingerprint
+from hydrojax.rigfile.quantities import Quantity, Setting
+from hydrojax.tune import linearize, measure, metrics, operating_point
+from hydrojax.tune.axes import Axis, cells
+from hydrojax.tune.ensemble import Plants
+
+METHODS = ("linear", "multisine", "noise")
+MEMORY = 256e6
+"""Bytes that a chunk's signals may take."""
+
+MADE_BY = (
+    linearize.system, linearize.response, linearize.radius, metrics.loop_metrics,
+    measure.measure, measure.multisine, measure.white_noise, operating_point.still,
+)  # fmt: skip
+"""The functions that make a sweep's figures: their code is part of its key."""
 
 
-def open_rig(
-    path: Path,
-    gains: Mapping[str, object] | None = None,
-    at: Sequence[str] = (),
-    over: Sequence[str] = (),
-) -> tuple[RigFile, Setting, dict[str, Quantity]]:
-    """A rig file as a loop at an operating point, and what can be named in it.
+@dataclass(frozen=True)
+class Plan:
+    """What a sweep does.
 
-    Args:
-        path: the rig file.
-        gains: keys of [controller] that replace the file's.
-        at: `name=value` words that set other quantities, the operating point above
-            all.
-        over: axes in words: the effects they name are put in.
+    Attributes:
+        setting: the rig at its operating point; the axes change it.
+        axes: 1 to 4.
+        known: every quantity by name.
+        methods: of `METHODS`.
+        plants: an ensemble, if there is one.
+        frozen: whether adaptation stands still when it is measured too.
+        rig: its name.
+        unit: of the command.
+        chunk: cells in a chunk; 0 is by memory.
+        excitations: of the methods that measure; made when None.
+    """
+
+    setting: Setting
+    axes: list[Axis]
+    known: Mapping[str, Quantity]
+    methods: tuple[str, ...] = ("linear",)
+    plants: Plants | None = None
+    frozen: bool = False
+    rig: str = ""
+    unit: str = "V"
+    chunk: int = 0
+    excitations: dict[str, measure.Excitation] = field(default_factory=dict)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Plants first, if there are any, then the axes."""
+        lead = (len(self.plants.values),) if self.plants else ()
+        return (*lead, *(a.values.size for a in self.axes))
+
+    def table(self) -> Float[np.ndarray, "cells columns"]:
+        """Values of the axes and of the plants' parameters in every cell."""
+        grid = cells(self.axes)
+        if self.plants is None:
+            return grid
+        own = np.repeat(self.plants.values, len(grid), axis=0)
+        return np.hstack([np.tile(grid, (len(self.plants.values), 1)), own])
+
+    def at(self, row: Any) -> Setting:
+        """The setting of one cell. The axes come last: they overrule a plant."""
+        s, n = self.setting, len(self.axes)
+        if self.plants is not None:
+            for i, name in enumerate(self.plants.names):
+                s = Quantity(name, "", "", parameter=name).put(s, row[n + i])
+        for i, axis in enumerate(self.axes):
+            s = axis.quantity.put(s, row[i])
+        return s
+
+    def key(self) -> str:
+        """What the sweep depends on, in a few letters: the question and the code."""
+        code = code_fingerprint(self.setting, MADE_BY)
+        return hashlib.sha256(f"{self.question()} {code}".encode()).hexdigest()[:16]
+
+    def question(self) -> str:
+        """What is asked, in a few letters: rig, operating point, axes and plants."""
+        seen = hashlib.sha256()
+        for leaf in jax.tree.leaves((self.setting, self.table())):
+            seen.update(np.asarray(leaf).tobytes())
+        words = (str(jax.tree.structure(self.setting)), self.frozen, self.shape)
+        words += tuple(a.name for a in self.axes)
+        seen.update(repr(words).encode())
+        return seen.hexdigest()[:16]
+
+
+def tag_of(plan: Plan, method: str) -> str:
+    """What a chunk of a method is called, but for its number."""
+    size, given = chunk_size(plan, method), plan.excitations.get(method)
+    if given is None:
+        return f"{method}-{size}"
+    seen = hashlib.sha256(given.shape.tobytes() + given.noise.tobytes())
+    return f"{method}-{size}-{seen.hexdigest()[:8]}"
+
+
+def prepare(plan: Plan) -> Plan:
+    """The plan with its excitations, checked.
 
     Raises:
-        InputError: the file, a name or a value that will not do.
+        InputError: measuring at a rate that is swept, or at no amplitude.
     """
-    spec = RigFile.load(path)
-    named = [word.partition("=")[0].strip() for word in (*at, *over)]
-    setting = open_setting(spec, gains, named)
-    known = quantities(spec, setting)
-    return spec, placed(setting, known, at), known
+    measured = [m for m in plan.methods if m != "linear"]
+    if measured and any(a.name == "rate" for a in plan.axes):
+        raise InputError(
+            "axis rate: a measurement has one sampling rate; use the method linear "
+            "alone (--by linear)"
+        )
+    rate = float(1 / plan.setting.loop.h)
+    make = {"multisine": measure.multisine, "noise": measure.white_noise}
+    made = {m: plan.excitations.get(m) or make[m](rate) for m in measured}
+    return Plan(**{**plan.__dict__, "excitations": made})
 
 
-def placed(
-    setting: Setting, known: Mapping[str, Quantity], at: Sequence[str]
-) -> Setting:
-    """A setting with quantities set by `name=value` words.
-
-    Raises:
-        InputError: a name or a value that will not do.
-    """
-    for word in at:
-        name, sign, text = word.partition("=")
-        where = f"--at {word!r}"
-        if not sign or not text.strip():
-            raise InputError(f"{where}: write NAME=VALUE, such as v=0.01")
-        quantity = find(known, name.strip(), where)
-        setting = quantity.put(setting, quantity.number(text.strip(), where))
-    return setting
-
-
-def make_plants(
-    setting: Setting, count: int, spread: float, folder: Path | None
-) -> Plants | None:
-    """An ensemble as asked for; None for the rig alone."""
-    if count < 2:
-        return None
-    if folder is not None:
-        return axes.from_report(setting, folder, count)
-    return axes.ensemble(setting, count, spread)
-
-
-def plan_sweep(
-    rig: Path,
-    over: Sequence[str],
-    by: Sequence[str] = ("linear",),
-    gains: Mapping[str, object] | None = None,
-    at: Sequence[str] = (),
-    count: int = 0,
-    spread: float = axes.SPREAD,
-    report: Path | None = None,
-    frozen: bool = False,
-) -> sweep.Plan:
-    """What a sweep of a rig file does; see the command line's help for the words.
-
-    Raises:
-        InputError: words that will not do.
-    """
-    for way in by:
-        if way not in sweep.METHODS:
-            raise InputError(f"--by {way!r}: write one of {', '.join(sweep.METHODS)}")
-    spec, setting, known = open_rig(rig, gains, at, over)
-    plan = sweep.Plan(
-        setting,
-        axes.read_axes(over, known),
-        known,
-        tuple(m for m in sweep.METHODS if m in by),
-        make_plants(setting, count, spread, report),
-        frozen,
-        spec.name,
-        spec.command_unit,
-    )
-    return sweep.prepare(plan)
-
-
-def sweep_rig(
-    rig: Path,
-    over: Sequence[str],
-    by: Sequence[str] = ("linear",),
-    gains: Mapping[str, object] | None = None,
-    at: Sequence[str] = (),
-    count: int = 0,
-    spread: float = axes.SPREAD,
-    report: Path | None = None,
-    frozen: bool = False,
-    out: Path | None = None,
-    progress: sweep.Progress | None = None,
-) -> xr.Dataset:
-    """Sweep a rig file; see the command line's help for the words.
-
-    Raises:
-        InputError: words that will not do, or a folder that holds another sweep.
-    """
-    plan = plan_sweep(rig, over, by, gains, at, count, spread, report, frozen)
-    return sweep.run(plan, out, progress)
-
-
-Progress = Callable[[str], None]
+def chunk_size(plan: Plan, method: str) -> int:
+    """Cells in a chunk, as many on every device."""
+    if method == "linear":
+        each, most = metrics.LINES * 10 * 16 * 4.0, 256
+    else:
+        each = plan.excitations[method].shape.size * len(measure.KEEP) * 8 * 3.0
+        most = 128
+    fits = plan.chunk or int(min(max(MEMORY // each, 16), most, np.prod(plan.shape)))
+    devices = jax.local_device_count()
+    return -(-fits // devices) * devices

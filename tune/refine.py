@@ -3,40 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 from scipy import optimize
 
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.plant.named import put
+from hydrojax.tune.ensemble import Plants
 
 SETTLE = 0.25
-"""Share of a run that is not counted: the estimates find their places."""
+"""Share of a run that is not counted: the estimates settle."""
 
-MOST_STEPS = 25
+MAX_ITERATIONS = 25
 
 FLOOR = 1e-9
 """Least half-width of a bound, of its scale: its derivative has to stay alive."""
 
 
-@dataclass(frozen=True)
-class Plants:
-    """Plants that differ in friction: `theta` [K, n] of the parameters `names`, SI."""
-
-    names: tuple[str, ...]
-    theta: np.ndarray
-
-
 def with_bounds(
     loop: Loop,
     names: Sequence[str],
-    lower: np.ndarray | Array,
-    upper: np.ndarray | Array,
+    lower: Sequence[float] | Float[np.ndarray | Array, "n"],
+    upper: Sequence[float] | Float[np.ndarray | Array, "n"],
 ) -> Loop:
     """The loop with other bounds of some of theta_f, SI."""
     law = loop.law
@@ -51,9 +43,12 @@ def with_bounds(
 
 @eqx.filter_jit
 def _errors(
-    loop: Loop, names: tuple[str, ...], theta: Array, scenarios: Scenario
-) -> Array:
-    """Tracking error of every plant on every course, RMS after SETTLE, [K, M], N."""
+    loop: Loop,
+    names: tuple[str, ...],
+    theta: Float[Array, "plants n"],
+    scenarios: Scenario,
+) -> Float[Array, "plants scenarios"]:
+    """Tracking error of every plant in every scenario, RMS after SETTLE, N."""
 
     def one(values, scenario):
         plant = eqx.tree_at(lambda lo: lo.rig, loop, put(loop.rig, names, values))
@@ -65,15 +60,17 @@ def _errors(
     return over(theta, scenarios)
 
 
-def tracking(loop: Loop, plants: Plants, scenarios: Scenario) -> np.ndarray:
-    """Tracking error of every plant on every course, RMS, [K, M], N.
+def tracking(
+    loop: Loop, plants: Plants, scenarios: Scenario
+) -> Float[np.ndarray, "plants scenarios"]:
+    """Tracking error of every plant in every scenario, RMS, N.
 
     Args:
         loop: with the law's bounds, and a plant that lends all but `plants.names`.
-        plants: K of them.
-        scenarios: M of equal length, stacked along the first axis.
+        plants: that differ in friction.
+        scenarios: of equal length, stacked along the first axis.
     """
-    theta = jnp.asarray(plants.theta)
+    theta = jnp.asarray(plants.values)
     return np.asarray(_errors(loop, plants.names, theta, scenarios))
 
 
@@ -81,32 +78,32 @@ def refine(
     loop: Loop,
     plants: Plants,
     scenarios: Scenario,
-    lower: np.ndarray,
-    upper: np.ndarray,
+    lower: Float[np.ndarray, "n"],
+    upper: Float[np.ndarray, "n"],
     limits: Sequence[tuple[float, float]],
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Move the bounds of theta_f to where the plants are tracked best.
 
     Gradient descent (L-BFGS-B) through the closed loop on the mean squared error over
-    plants and courses; the estimates begin midway between the bounds, so both where
+    plants and scenarios; the estimates begin midway between the bounds, so both where
     they start and where they may go is found.
 
     Args:
         loop: the loop whose law is refined.
-        plants: K identified plants.
-        scenarios: M scenarios of equal length, stacked.
-        lower: [n] bounds to start from, SI, of `plants.names`.
+        plants: the identified plants.
+        scenarios: of equal length, stacked.
+        lower: bounds to start from, SI, of `plants.names`.
         upper: likewise.
         limits: what each parameter may be at all, SI.
         progress: called with a line of text as the descent proceeds.
 
     Returns:
-        The refined bounds, [n] each.
+        The refined bounds, lower and upper.
     """
     low, high = np.array(limits, float).T
     scale = np.maximum(np.maximum(np.abs(lower), np.abs(upper)), 1e-12)
-    theta = jnp.asarray(plants.theta)
+    theta = jnp.asarray(plants.values)
 
     def bounds(at):
         middle, half = at[: scale.size] * scale, at[scale.size :] * scale
@@ -139,7 +136,7 @@ def refine(
         method="L-BFGS-B",
         bounds=reach,
         callback=step,
-        options={"maxiter": MOST_STEPS, "ftol": 1e-5},
+        options={"maxiter": MAX_ITERATIONS, "ftol": 1e-5},
     )
     ends = bounds(jnp.asarray(found.x))
     return np.asarray(ends[0]), np.asarray(ends[1])

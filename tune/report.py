@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from matplotlib.figure import Figure
 
 from hydrojax.report import page
 from hydrojax.report.files import write_all
-from hydrojax.rigfile import edit
-from hydrojax.rigfile.schema import RigFile
-from hydrojax.tune.result import Tuned
-from hydrojax.tune.tuned import (
+from hydrojax.tune.display import (
     bode_figure,
     ends,
     limit,
@@ -24,9 +19,10 @@ from hydrojax.tune.tuned import (
     show,
     table,
 )
+from hydrojax.tune.tuning import Tuning
 
 
-def pictures(t: Tuned) -> dict[str, tuple[Figure, str, str]]:
+def pictures(t: Tuning) -> dict[str, tuple[Figure, str, str]]:
     """Figures with their alternative text and caption, by the name of their file."""
     out = {
         "tune_bode": (
@@ -43,14 +39,8 @@ def pictures(t: Tuned) -> dict[str, tuple[Figure, str, str]]:
     return out
 
 
-def write(t: Tuned, rig: Path, out: Path) -> None:
-    """Write tune.json, rig.toml, the pictures and report.html.
-
-    Args:
-        t: what was found.
-        rig: the file whose copy gets the gains; its comments stay.
-        out: the folder.
-    """
+def write(t: Tuning, out: Path) -> None:
+    """Write tune.json, rig.toml, the pictures and report.html into a folder."""
     shown = []
     for name, (figure, alt, caption) in pictures(t).items():
         store = io.BytesIO()
@@ -59,7 +49,7 @@ def write(t: Tuned, rig: Path, out: Path) -> None:
     files = {f"{p.name}.png": p.png for p in shown}
     text = json.dumps(t.json(), indent=1, allow_nan=False)
     files["tune.json"] = (text + "\n").encode()
-    files["rig.toml"] = with_gains(rig, t.gains, t.units).encode()
+    files["rig.toml"] = t.rig.text.encode()
     said = page.page(
         Path(__file__).parent / "report.html",
         (show,),
@@ -72,20 +62,3 @@ def write(t: Tuned, rig: Path, out: Path) -> None:
     )
     files["report.html"] = said.encode()
     write_all(out, files)
-
-
-def with_gains(rig: Path, gains: Mapping[str, float], units: Mapping[str, str]) -> str:
-    """A rig file's text with other gains, all else, comments too, as it was."""
-    spec = RigFile.load(rig)
-    keys: dict[str, Any] = {}
-    for name, value in gains.items():
-        written = edit.text(value, units[name])
-        key, _, end = name.removesuffix("_hat").rpartition("_")
-        if end in ("lower", "upper"):
-            both = keys.get(key, spec.controller.get(key, written))
-            both = list(both) if isinstance(both, list) else [both, both]
-            both[end == "upper"] = written
-            keys[key] = both
-        else:
-            keys[name.removesuffix("_hat")] = written
-    return edit.rewrite(spec, {}, controller=keys)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,122 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from hydrojax.errors import InputError
 from hydrojax.jax_setup import make_room
-from hydrojax.rigfile.fingerprint import code_fingerprint
-from hydrojax.rigfile.quantities import Quantity, Setting
+from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import linearize, measure, metrics, operating_point
-from hydrojax.tune.axes import Axis, Plants, cells
 from hydrojax.tune.chunks import Chunks
 from hydrojax.tune.dataset import dataset, save_dataset
+from hydrojax.tune.plan import Plan, chunk_size, tag_of
 from hydrojax.tune.program import on_all_devices, program
-
-METHODS = ("linear", "multisine", "noise")
-MEMORY = 256e6
-"""Bytes that a chunk's signals may take."""
-
-MADE_BY = (
-    linearize.system, linearize.response, linearize.radius, metrics.merits,
-    measure.measure, measure.multisine, measure.white_noise, operating_point.still,
-)  # fmt: skip
-"""The functions that make a sweep's figures: their code is part of its key."""
 
 Progress = Callable[[int, int], None]
 """Called with the cells that are done, and their total number."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What a sweep does.
-
-    Attributes:
-        setting: the rig at its operating point; the axes change it.
-        axes: 1 to 4.
-        known: every quantity by name.
-        methods: of `METHODS`.
-        plants: an ensemble, if there is one.
-        frozen: whether adaptation stands still when it is measured too.
-        rig: its name.
-        unit: of the command.
-        chunk: cells in a chunk; 0 is by memory.
-        excitations: of the methods that measure; made when None.
-    """
-
-    setting: Setting
-    axes: list[Axis]
-    known: Mapping[str, Quantity]
-    methods: tuple[str, ...] = ("linear",)
-    plants: Plants | None = None
-    frozen: bool = False
-    rig: str = ""
-    unit: str = "V"
-    chunk: int = 0
-    excitations: dict[str, measure.Excitation] = field(default_factory=dict)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Plants first, if there are any, then the axes."""
-        lead = (len(self.plants.values),) if self.plants else ()
-        return (*lead, *(a.values.size for a in self.axes))
-
-    def table(self) -> np.ndarray:
-        """Values of the axes and of the plants' parameters in every cell."""
-        grid = cells(self.axes)
-        if self.plants is None:
-            return grid
-        own = np.repeat(self.plants.values, len(grid), axis=0)
-        return np.hstack([np.tile(grid, (len(self.plants.values), 1)), own])
-
-    def at(self, row: Any) -> Setting:
-        """The setting of one cell. The axes come last: they overrule a plant."""
-        s, n = self.setting, len(self.axes)
-        if self.plants is not None:
-            for i, name in enumerate(self.plants.names):
-                s = Quantity(name, "", "", parameter=name).put(s, row[n + i])
-        for i, axis in enumerate(self.axes):
-            s = axis.quantity.put(s, row[i])
-        return s
-
-    def key(self) -> str:
-        """What the sweep depends on, in a few letters: the question and the code."""
-        code = code_fingerprint(self.setting, MADE_BY)
-        return hashlib.sha256(f"{self.question()} {code}".encode()).hexdigest()[:16]
-
-    def question(self) -> str:
-        """What is asked, in a few letters: rig, operating point, axes and plants."""
-        seen = hashlib.sha256()
-        for leaf in jax.tree.leaves((self.setting, self.table())):
-            seen.update(np.asarray(leaf).tobytes())
-        words = (str(jax.tree.structure(self.setting)), self.frozen, self.shape)
-        words += tuple(a.name for a in self.axes)
-        seen.update(repr(words).encode())
-        return seen.hexdigest()[:16]
-
-
-def _tag(plan: Plan, method: str) -> str:
-    """What a chunk of a method is called, but for its number."""
-    size, given = chunk_size(plan, method), plan.excitations.get(method)
-    if given is None:
-        return f"{method}-{size}"
-    seen = hashlib.sha256(given.shape.tobytes() + given.noise.tobytes())
-    return f"{method}-{size}-{seen.hexdigest()[:8]}"
-
-
-def prepare(plan: Plan) -> Plan:
-    """The plan with its excitations and nothing left that cannot be done.
-
-    Raises:
-        InputError: measuring at a rate that is swept, or at no amplitude.
-    """
-    measured = [m for m in plan.methods if m != "linear"]
-    if measured and any(a.name == "rate" for a in plan.axes):
-        raise InputError(
-            "--over rate: what is measured has its own sampling; add --by linear"
-        )
-    rate = float(1 / plan.setting.loop.h)
-    make = {"multisine": measure.multisine, "noise": measure.white_noise}
-    made = {m: plan.excitations.get(m) or make[m](rate) for m in measured}
-    return Plan(**{**plan.__dict__, "excitations": made})
 
 
 class _Work:
@@ -165,7 +57,7 @@ class _Work:
                 s, operating_point.start(s, settle=self.settle), states
             )
             H = linearize.response(system, hertz)
-            found = metrics.merits(hertz, H, linearize.radius(system))
+            found = metrics.loop_metrics(hertz, H, linearize.radius(system))
             return found | {"response": H[:, 0, 0]}
 
         return program(jax.vmap(one))
@@ -215,18 +107,6 @@ def _corners(rows: np.ndarray, most: int = 24) -> np.ndarray:
     return rows[chosen[:most]]
 
 
-def chunk_size(plan: Plan, method: str) -> int:
-    """Cells in a chunk, as many on every device."""
-    if method == "linear":
-        each, most = metrics.LINES * 10 * 16 * 4.0, 256
-    else:
-        each = plan.excitations[method].shape.size * len(measure.KEEP) * 8 * 3.0
-        most = 128
-    fits = plan.chunk or int(min(max(MEMORY // each, 16), most, np.prod(plan.shape)))
-    devices = jax.local_device_count()
-    return -(-fits // devices) * devices
-
-
 def run(
     plan: Plan, folder: Path | None = None, progress: Progress | None = None
 ) -> xr.Dataset:
@@ -259,7 +139,7 @@ def run(
 
     for method in plan.methods:
         parts: dict[int, dict[str, np.ndarray]] = {}
-        size, tag = chunk_size(plan, method), _tag(plan, method)
+        size, tag = chunk_size(plan, method), tag_of(plan, method)
         for i in range(-(-count // size)):
             kept = chunks.read(tag, i)
             if kept is not None:
@@ -297,7 +177,7 @@ def left(plan: Plan, folder: Path) -> list[tuple[str, int]]:
         (method, i)
         for method in plan.methods
         for i in range(_count(plan, method))
-        if not chunks.has(_tag(plan, method), i)
+        if not chunks.has(tag_of(plan, method), i)
     ]
 
 
@@ -311,7 +191,7 @@ def chunk_worker(plan: Plan, folder: Path) -> Callable[[str, int], None]:
     work, chunks = _Work(plan), _chunks_of(plan, folder)
 
     def do(method: str, i: int) -> None:
-        tag = _tag(plan, method)
+        tag = tag_of(plan, method)
         if not chunks.has(tag, i):
             others = set(range(_count(plan, method))) - {i}
             work.run(

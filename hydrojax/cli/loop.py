@@ -18,10 +18,10 @@ from hydrojax.cli.options import (
     check_file,
     check_out,
     console,
-    given,
     load_effects,
     show_progress,
 )
+from hydrojax.cli.words import read_gains
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 from hydrojax.report.files import write_all
@@ -69,7 +69,7 @@ def simulate(
     spec = RigFile.load(rig)
     with show_progress() as progress:
         progress("run the closed loop")
-        loop = build_loop(spec, None, given(gains or []))
+        loop = build_loop(spec, None, read_gains(gains or []))
         scenario = recording.read_scenario(spec, loop, reference, motion, seconds, seed)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # said below, in one line

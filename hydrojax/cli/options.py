@@ -132,22 +132,3 @@ def load_effects(files: list[Path] | None) -> None:
 
     for path in files or ():
         load_effects(path)
-
-
-def given(words: list[str]) -> dict[str, object]:
-    """`name=value` or `name=lower,upper` words as keys of [controller]."""
-    out: dict[str, object] = {}
-    for word in words:
-        name, sign, text = word.partition("=")
-        if not sign or not text.strip():
-            raise InputError(f"--gains {word!r}: write NAME=VALUE, such as k_p=1.5")
-        values = [_number(part) for part in text.split(",")]
-        out[name.strip()] = values[0] if len(values) == 1 else values
-    return out
-
-
-def _number(text: str) -> str | float:
-    try:
-        return float(text)
-    except ValueError:
-        return text

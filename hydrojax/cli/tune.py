@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
@@ -19,10 +19,11 @@ from hydrojax.cli.options import (
     check_out,
     console,
     counted,
-    given,
     load_effects,
     show_progress,
 )
+from hydrojax.cli.words import read_axes, read_gains, read_point
+from hydrojax.errors import InputError
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 
 
@@ -72,21 +73,30 @@ def sweep(
     check_out(out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
-    from hydrojax.tune import plan, plots
+    from hydrojax.rigfile.schema import RigFile
+    from hydrojax.tune import api, plots
+    from hydrojax.tune.accessor import sentences
 
-    words = (
-        rig, over, by or ("linear",), given(gains or []), at or (), ensemble, spread,
-        report, frozen,
-    )  # fmt: skip
+    file = RigFile.load(rig)
+    arguments: dict[str, Any] = {
+        "axes": read_axes(over),
+        "methods": by or ("linear",),
+        "gains": read_gains(gains or ()),
+        "at": read_point(at or ()),
+        "plants": ensemble,
+        "spread": spread,
+        "findings": report and report.absolute(),
+        "frozen": frozen,
+    }
     with counted("sweep") as progress:
         if cluster:
             from hydrojax.workflows.fleet.sweeps import share_sweep
 
-            share_sweep(words, effects or (), out, cluster, progress)
-        data = plan.sweep_rig(*words, out, progress)
+            share_sweep(file, arguments, effects or (), out, cluster, progress)
+        data = api.sweep(file, **arguments, out=out, progress=progress)
     for name, figure in plots.figures(data).items():
         figure.savefig(out / f"{name}.png", dpi=120)
-    for line in plan.sentences(data):
+    for line in sentences(data):
         console.print(line)
     console.print(f"sweep.nc and pictures in {out}")
 
@@ -140,26 +150,45 @@ def tune(
     check_out(out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
-    from hydrojax.tune import api, objective, report
+    from hydrojax.tune import api, display
+    from hydrojax.tune.objective import Limits
 
-    limits = objective.Limits(
-        peak=peak, sensitivity=margin, noise=noise, tracking=tracking
-    )
+    limits = Limits(peak_dB=peak, sensitivity_dB=margin, noise=noise, tracking=tracking)
+    folder = source if source.is_dir() else None
     with show_progress() as progress:
-        tuned, path = api.tune(
-            source, rig, free or (), at or (), adaptation, ensemble, spread,
-            limits, starts, progress,
-        )  # fmt: skip
+        tuned = api.tune_gains(
+            _rig_of(source, rig) if folder else source,
+            free or (),
+            limits,
+            at=read_point(at or ()),
+            adaptation=adaptation,
+            plants=ensemble,
+            spread=spread,
+            findings=folder,
+            starts=starts,
+            progress=progress,
+        )
         progress("draw")
-        report.write(tuned, path, out)
-    console.print(report.sentence(tuned))
+        tuned.save(out)
+    console.print(display.sentence(tuned))
     table = Table("gain", "before", "after", "unit")
     for name, value in tuned.gains.items():
         table.add_row(
             name, f"{tuned.start[name]:.4g}", f"{value:.4g}", tuned.units[name]
         )
     console.print(table)
-    console.print(report.limit(tuned))
+    console.print(display.limit(tuned))
     for line in tuned.notes:
         console.print(f"- {line}")
     console.print(f"tune.json, rig.toml and report.html in {out}")
+
+
+def _rig_of(folder: Path, rig: Path | None) -> Path:
+    """The rig file of a folder of identify or trace."""
+    if rig is not None:
+        return rig
+    if (folder / "rig.toml").exists():
+        return folder / "rig.toml"
+    raise InputError(
+        f"{folder}: no rig.toml in it; name the rig file that was traced with --rig"
+    )

@@ -29,7 +29,8 @@ from hydrojax.rigfile import controller, recording
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.edit import rewrite, text
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.tune.refine import Plants, refine, tracking, with_bounds
+from hydrojax.tune.ensemble import Plants
+from hydrojax.tune.refine import refine, tracking, with_bounds
 
 MOST_SECONDS = 6.0
 """How much of each log is run in closed loop, s."""

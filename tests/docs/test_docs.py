@@ -84,7 +84,7 @@ def test_every_page_is_there(site):
         "hydrojax.plant.friction.Friction",
         "hydrojax.plant.chambers.Chambers",
         "hydrojax.effects.load_effects",
-        "hydrojax.tune.plan.sweep_rig",
+        "hydrojax.tune.api.sweep",
         "hydrojax.jax_setup.set_up_jax",
         "hydrojax.export.formats.export",
         "hydrojax.logs.log.Log.load",

@@ -14,7 +14,7 @@ from hydrojax.errors import InputError
 from hydrojax.identify.results import show
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.tune import metrics
-from hydrojax.tune import plan as tune_run
+from hydrojax.tune.accessor import sentences
 from tests.identify.test_report import (
     OUTCOMES,
     Page,
@@ -122,7 +122,7 @@ def test_text_of_a_log_does_not_become_markup():
 # -- the gains --
 
 
-def test_a_tuning_shows_gains_merits_and_limits():
+def test_a_tuning_shows_gains_metrics_and_limits():
     t = tuned()
     text = t._repr_html_()
     bare(text)
@@ -175,14 +175,14 @@ def test_a_sweep_plots_a_map_or_lines():
     assert "linearised, adaptation frozen" in titles
     assert data.hydrojax.plot("peak").get_suptitle() == "rig: peak"
     assert len(sweep(one=True).hydrojax.plot().axes) == 4
-    assert tune_run.sentences(data)[0].startswith("linear: widest")
+    assert sentences(data)[0].startswith("linear: widest")
 
 
 def test_a_sweep_refuses_what_it_does_not_hold():
-    with pytest.raises(InputError, match="'gain': write one of lag_90, minus_3dB"):
+    with pytest.raises(InputError, match="'gain': expected one of lag_90, minus_3dB"):
         sweep(one=False).hydrojax.plot("gain")
     for part in (xr.Dataset(), sweep(one=False)[["linear_peak"]]):
-        with pytest.raises(InputError, match="no whole sweep"):
+        with pytest.raises(InputError, match="not a whole sweep"):
             part.hydrojax.plot("peak")
-    with pytest.raises(InputError, match="no axis is left"):
+    with pytest.raises(InputError, match="no axis of the sweep is left"):
         sweep(one=False).isel(k_p=0, k_f=0).hydrojax.plot()

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hydrojax.identify.report import write
-from hydrojax.paper.experiments import reference
-from hydrojax.tune import report as tune_report
 from tests.browser import Browser, Page
 from tests.identify.test_report import OUTCOMES, explained
 from tests.tunings import tuned
@@ -33,7 +30,7 @@ def reports(tmp_path_factory):
     top = tmp_path_factory.mktemp("reports")
     for name, make in OUTCOMES.items():
         write.write_report(make(), top / name)
-    tune_report.write(tuned(), Path(reference()[0].path), top / "tuned")
+    tuned().save(top / "tuned")
     return top
 
 

@@ -210,7 +210,7 @@ def test_bandwidths_of_a_butterworth_low_pass_by_closed_form():
     b, a = signal.butter(2, 40.0, analog=True)
     H[:, 0, 0] = signal.freqs(b, a, hertz)[1]
     H[:, 1, 1] = 0.5
-    found = metrics.merits(jnp.asarray(hertz), jnp.asarray(H), jnp.asarray(0.5))
+    found = metrics.loop_metrics(jnp.asarray(hertz), jnp.asarray(H), jnp.asarray(0.5))
     for name, fall in (("within_1dB", 1.0), ("minus_3dB", 3.0)):
         want = 40 * (10 ** (fall / 10) - 1) ** 0.25
         assert float(found[name]) == pytest.approx(want, rel=1e-4), name

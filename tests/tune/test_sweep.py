@@ -8,15 +8,20 @@ import subprocess
 import sys
 
 import numpy as np
+import pint
 import pytest
 import xarray as xr
 
 from hydrojax import cli
+from hydrojax.cli.words import read_axes
 from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.errors import InputError
 from hydrojax.paper.experiments import reference
 from hydrojax.rigfile.quantities import open_setting, quantities
-from hydrojax.tune import axes, measure, metrics, plots, sweep
+from hydrojax.tune import measure, metrics, plan, plots, sweep
+from hydrojax.tune.axes import make_axes
+from hydrojax.tune.ensemble import ensemble, from_findings
+from hydrojax.tune.findings import Findings
 
 SPEC, _ = reference()
 RIG = SPEC.path
@@ -34,9 +39,9 @@ def known(setting):
 
 def plan_of(setting, known, words, methods=("linear",), **more):
     given = {"multisine": measure.multisine(1000.0, period=0.5, lines=12)}
-    return sweep.prepare(
-        sweep.Plan(setting, axes.read_axes(words, known), known, methods,
-                   excitations=given, rig="reference rig", **more)
+    return plan.prepare(
+        plan.Plan(setting, make_axes(read_axes(words), known), known, methods,
+                  excitations=given, rig="reference rig", **more)
     )  # fmt: skip
 
 
@@ -89,17 +94,35 @@ def test_an_effect_the_rig_has_not_is_put_in_absent():
 )
 def test_bad_axes_are_refused_in_one_line(known, word, says):
     with pytest.raises(InputError, match=says.replace("[", r"\[")) as err:
-        axes.read_axis(word, known)
+        make_axes(read_axes([word]), known)
     assert "\n" not in str(err.value)
 
 
 def test_axes(known):
-    assert axes.read_axis("k_p=1:3:3", known).values.tolist() == [1, 2, 3]
-    log = axes.read_axis("beta=1e8 Pa:1e10 Pa:3:log", known)
-    np.testing.assert_allclose(log.values, [1e8, 1e9, 1e10])
-    assert axes.read_axis("v=0,1 cm/s", known).values.tolist() == [0, 0.01]
+    def values(word):
+        return make_axes(read_axes([word]), known)[0].values
+
+    assert values("k_p=1:3:3").tolist() == [1, 2, 3]
+    np.testing.assert_allclose(values("beta=1e8 Pa:1e10 Pa:3:log"), [1e8, 1e9, 1e10])
+    np.testing.assert_allclose(values("beta=0.5 GPa:900 MPa:3"), [5e8, 7e8, 9e8])
+    assert values("v=0,1 cm/s").tolist() == [0, 0.01]
+    assert values("v=0:1 cm/s:2").tolist() == [0, 0.01]
     with pytest.raises(InputError, match="1 to 4"):
-        axes.read_axes([f"{n}=1,2" for n in ("k_p", "k_f", "x", "v", "F_0")], known)
+        make_axes({n: [1, 2] for n in ("k_p", "k_f", "x", "v", "F_0")}, known)
+    with pytest.raises(InputError, match="given twice"):
+        read_axes(["k_p=1,2", "k_p=3,4"])
+
+
+def test_axes_as_a_notebook_gives_them(known):
+    pascal = pint.UnitRegistry().pascal
+    given = {
+        "k_p": np.linspace(1, 3, 3),
+        "beta": np.array([8e8, 9e8]) * pascal,
+        "v": ["0", "1 cm/s"],
+        "x": 0.01,
+    }
+    found = {a.name: a.values.tolist() for a in make_axes(given, known)}
+    assert found == {"k_p": [1, 2, 3], "beta": [8e8, 9e8], "v": [0, 0.01], "x": [0.01]}
 
 
 # -- sweeps --
@@ -124,9 +147,9 @@ set_up_jax(Path(sys.argv[1]))
 from tests.tune import test_sweep as t
 setting = t.open_setting(t.SPEC)
 known = t.quantities(t.SPEC, setting)
-plan = t.plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine"))
-assert jax.local_device_count() == 2 and t.sweep.chunk_size(plan, "multisine") == 6
-t.sweep.run(plan, Path(sys.argv[2]))
+asked = t.plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine"))
+assert jax.local_device_count() == 2 and t.plan.chunk_size(asked, "multisine") == 6
+t.sweep.run(asked, Path(sys.argv[2]))
 """
 
 
@@ -169,7 +192,7 @@ def test_a_cell_is_the_rig_with_its_values(setting, known):
 def test_a_stopped_sweep_goes_on_and_a_done_one_does_nothing(
     setting, known, tmp_path, monkeypatch
 ):
-    plan = plan_of(setting, known, ["k_p=0.5:3:6"], chunk=2)
+    asked = plan_of(setting, known, ["k_p=0.5:3:6"], chunk=2)
 
     def stop(done, total):
         assert total == 6
@@ -177,15 +200,15 @@ def test_a_stopped_sweep_goes_on_and_a_done_one_does_nothing(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        sweep.run(plan, tmp_path, stop)
+        sweep.run(asked, tmp_path, stop)
     kept = sorted((tmp_path / "parts").iterdir())
     assert len(kept) == 2 and not (tmp_path / "sweep.nc").exists()
     old = [p.stat().st_mtime_ns for p in kept]
     seen = []
-    data = sweep.run(plan, tmp_path, lambda *a: seen.append(a))
+    data = sweep.run(asked, tmp_path, lambda *a: seen.append(a))
     assert [p.stat().st_mtime_ns for p in kept] == old and seen[-1] == (6, 6)
     monkeypatch.setattr(sweep, "_Work", None)  # nothing is worked out again
-    again = sweep.run(plan, tmp_path)
+    again = sweep.run(asked, tmp_path)
     xr.testing.assert_identical(again, xr.load_dataset(tmp_path / "sweep.nc"))
     np.testing.assert_array_equal(again.linear_peak, data.linear_peak)
     with pytest.raises(InputError, match="another sweep"):
@@ -250,8 +273,8 @@ def test_a_sweep_resumed_after_an_effect_s_code_changed_is_of_the_new_code(
     words, out = ["own_drag.c=1e3,2e4"], tmp_path / "sweep"
 
     def swept(setting, folder=None):
-        plan = plan_of(setting, quantities(SPEC, setting), words)
-        return sweep.run(plan, folder)
+        asked = plan_of(setting, quantities(SPEC, setting), words)
+        return sweep.run(asked, folder)
 
     swept(own_effect(), out)
     kept = {p.name for p in (out / "parts").iterdir()}
@@ -274,10 +297,10 @@ def test_the_key_holds_the_code_of_an_effect_and_of_what_it_calls(own_effect):
 
 
 def test_the_ensemble_and_what_95_percent_reach(setting, known):
-    plants = axes.ensemble(setting, 5)
+    plants = ensemble(setting, 5)
     assert np.all(np.abs(plants.values / plants.values[0] - 1) <= 0.2)
-    plan = plan_of(setting, known, ["k_p=0.6,1.2"], plants=plants)
-    data = sweep.run(plan)
+    asked = plan_of(setting, known, ["k_p=0.6,1.2"], plants=plants)
+    data = sweep.run(asked)
     assert data.linear_within_1dB.dims == ("plant", "k_p")
     least = np.quantile(np.nan_to_num(data.linear_within_1dB), 0.05, axis=0)
     np.testing.assert_allclose(data.linear_within_1dB_95, least)
@@ -292,17 +315,20 @@ def test_a_report_s_ensemble(setting, tmp_path):
         "effects": [],
     }  # fmt: skip
     (tmp_path / "report.json").write_text(json.dumps(report))
-    plants = axes.from_report(setting, tmp_path, 4000)
-    assert plants.names == ("beta", "k_cp") and "without correlations" in plants.says
+    plants = from_findings(setting, Findings.load(tmp_path), 4000)
+    assert (
+        plants.names == ("beta", "k_cp")
+        and "without correlations" in plants.description
+    )
     np.testing.assert_allclose(plants.values[0], [8e8, 1e3])
     np.testing.assert_allclose(plants.values.std(0), [8e6, 50], rtol=0.05)
     matrix = [[64e12, -0.9 * 8e6 * 50], [-0.9 * 8e6 * 50, 2500]]
     report["covariance"] = {"names": ["beta", "k_cp"], "matrix": matrix}
     (tmp_path / "report.json").write_text(json.dumps(report))
-    values = axes.from_report(setting, tmp_path, 4000).values
+    values = from_findings(setting, Findings.load(tmp_path), 4000).values
     assert np.corrcoef(values.T)[0, 1] == pytest.approx(-0.9, abs=0.02)
     with pytest.raises(InputError, match="no report"):
-        axes.from_report(setting, tmp_path / "none", 3)
+        Findings.load(tmp_path / "none")
 
 
 def test_plants_of_a_covariance_keep_every_scale(setting, tmp_path):
@@ -317,7 +343,7 @@ def test_plants_of_a_covariance_keep_every_scale(setting, tmp_path):
         "covariance": {"names": list(std), "matrix": both.tolist()},
     }
     (tmp_path / "report.json").write_text(json.dumps(report))
-    drawn = axes.from_report(setting, tmp_path, 4000).values
+    drawn = from_findings(setting, Findings.load(tmp_path), 4000).values
     np.testing.assert_allclose(drawn.std(axis=0), list(std.values()), rtol=0.05)
     assert abs(np.corrcoef(drawn.T)[0, 1] - 0.5) < 0.05
 
@@ -370,7 +396,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     ("words", "says"),
     [
         (["--over", "k_q=1:2:3"], "unknown quantity 'k_q'"),
-        (["--over", "k_p=1:2:3", "--by", "sines"], "--by 'sines'"),
+        (["--over", "k_p=1:2:3", "--by", "sines"], "invalid method 'sines'"),
         (["--over", "k_p=1:2:3", "--at", "v=fast"], "--at 'v=fast'"),
         (["--over", "rate=500,1000", "--by", "multisine"], "--by linear"),
     ],

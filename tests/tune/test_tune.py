@@ -25,8 +25,12 @@ from hydrojax.errors import InputError
 from hydrojax.paper.experiments import reference
 from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.tune import api, axes, measure, optimize, report, result
-from hydrojax.tune.objective import KEEPS, Goal, Limits
+from hydrojax.tune import api, measure, metrics, optimize
+from hydrojax.tune.ensemble import ensemble
+from hydrojax.tune.free import FREE
+from hydrojax.tune.limiting import what_limits, with_valve
+from hydrojax.tune.objective import CONSTRAINTS, Limits, Objective
+from tests.tunings import tuned
 
 SPEC, _ = reference()
 PAPER = np.array([1.2, 2.4, 0.01])
@@ -34,16 +38,16 @@ PLANTS = 4
 
 
 @pytest.fixture(scope="module")
-def goal():
+def objective():
     setting = open_setting(SPEC)
     known = quantities(SPEC, setting)
-    plants = result.widen(setting, axes.ensemble(setting, PLANTS, seed=4))
-    return Goal(setting, [known[n] for n in result.FREE], plants, Limits())
+    plants = with_valve(setting, ensemble(setting, PLANTS, seed=4))
+    return Objective(setting, [known[n] for n in FREE], plants, Limits())
 
 
 @pytest.fixture(scope="module")
-def found(goal):
-    return optimize.tune(goal, starts=1)
+def found(objective):
+    return optimize.optimize_gains(objective, starts=1)
 
 
 # -- a second simulator --
@@ -134,15 +138,15 @@ def multisine(lines):
     return 30 * np.sqrt(2 / lines.size) * np.cos(angle).sum(1)
 
 
-def second(goal, gains):
-    return Second(dict(zip(goal.names, goal.values.T, strict=True)), gains)
+def second(objective, gains):
+    return Second(dict(zip(objective.names, objective.values.T, strict=True)), gains)
 
 
-def second_response(goal, gains):
+def second_response(objective, gains):
     """|F/F_d| in dB at 1 to 120 Hz on every plant, [m, 120]."""
     lines = np.arange(1, 121)
     F_d = multisine(lines)
-    F = second(goal, gains).run(F_d)
+    F = second(objective, gains).run(F_d)
     H = fft.rfft(F[1000:], axis=0)[lines] / fft.rfft(F_d[1000:])[lines, None]
     return lines, 20 * np.log10(np.abs(H)).T
 
@@ -152,31 +156,31 @@ def band(lines, dB):
     return np.where(out.any(1), lines[out.argmax(1)], lines[-1])
 
 
-def test_the_tuned_loop_holds_in_a_second_simulator(goal, found):
-    lines, was = second_response(goal, PAPER)
-    _, now = second_response(goal, found.gains)
+def test_the_tuned_loop_holds_in_a_second_simulator(objective, found):
+    lines, was = second_response(objective, PAPER)
+    _, now = second_response(objective, found.gains)
     # A multisine about 0 N wiggles over the corner of presliding: 0.1 dB of it.
     assert band(lines, now).min() >= 1.5 * band(lines, was).min() - 1
     assert now.max() <= was.max() and now.max() < 3.2
 
 
-def test_both_simulators_run_alike(goal, found):
+def test_both_simulators_run_alike(objective, found):
     """Sample for sample, on the rig and on the others, with the adaptation held."""
     F_d = multisine(np.arange(1, 121))
     nothing = np.zeros((F_d.size, 4))
     given = measure.Excitation("", F_d / 30 * 2**0.5, nothing, 0, np.ones(1))
     for gains in (PAPER, found.gains):
-        theirs = second(goal, gains).run(F_d)
+        theirs = second(objective, gains).run(F_d)
         for plant in range(PLANTS):
-            s = goal.at(gains, plant)
+            s = objective.at(gains, plant)
             s = eqx.tree_at(lambda s: s.amplitude, s, jnp.asarray(30.0))
             F = np.asarray(measure.simulate(s, given, frozen=True)[1])[:, 0]
             off = np.sqrt(np.mean((F - theirs[:, plant]) ** 2))
             assert off < 0.02 * np.std(F)
 
 
-def test_at_least_one_and_a_half_times_the_paper_s(goal, found):
-    before, after = goal.before, goal.look(found.gains)
+def test_at_least_one_and_a_half_times_the_paper_s(objective, found):
+    before, after = objective.before, objective.evaluate(found.gains)
     assert min(found.slack.values()) > -optimize.TIGHT
     assert after["within_1dB"].min() >= 1.5 * before["within_1dB"].max()
     assert after["peak"].max() <= min(3.0, before["peak"].min())
@@ -184,14 +188,14 @@ def test_at_least_one_and_a_half_times_the_paper_s(goal, found):
     assert after["rms"].max() < 3.1 * before["rms"][0]
 
 
-def test_slopes_are_differences(goal):
+def test_slopes_are_differences(objective):
     here = np.array([1.0, 1.8, 0.004])
-    value, slope, stable = goal.scores(here)
-    assert stable and value.size == 1 + len(KEEPS)
+    value, slope, stable = objective.scores(here)
+    assert stable and value.size == 1 + len(CONSTRAINTS)
     for i in range(3):
         step = np.zeros(3)
         step[i] = 1e-5 * here[i]
-        rise = goal.scores(here + step)[0] - goal.scores(here - step)[0]
+        rise = objective.scores(here + step)[0] - objective.scores(here - step)[0]
         size = 1e-3 * np.max(np.abs(slope[:, i])) * 1e-2
         np.testing.assert_allclose(
             rise[:5] / (2 * step[i]), slope[:5, i], rtol=2e-4, atol=size
@@ -199,10 +203,12 @@ def test_slopes_are_differences(goal):
         assert rise[6] / (2 * step[i]) == pytest.approx(slope[6, i], rel=1e-3)
 
 
-def test_slope_through_the_run_is_a_difference(goal):
+def test_slope_through_the_run_is_a_difference(objective):
     """The encoder's steps make the run rough: without them it is not."""
-    smooth = eqx.tree_at(lambda s: s.loop.sensors.step, goal.setting, jnp.asarray(0.0))
-    quiet = goal.relaxed(setting=smooth)
+    smooth = eqx.tree_at(
+        lambda s: s.loop.sensors.step, objective.setting, jnp.asarray(0.0)
+    )
+    quiet = objective.relaxed(setting=smooth)
     here = np.array([1.0, 1.8, 0.006])
     slope = quiet.scores(here)[1][5]
     for i in range(3):
@@ -212,9 +218,9 @@ def test_slope_through_the_run_is_a_difference(goal):
         assert rise / (2 * step[i]) == pytest.approx(slope[i], rel=0.05, abs=2e-2)
 
 
-def test_what_limits_it(goal, found, monkeypatch):
-    monkeypatch.setattr(optimize, "MOST_STEPS", 4)
-    told = {r.what: r for r in result.what_limits(goal, found, lambda _: None)}
+def test_what_limits_it(objective, found, monkeypatch):
+    monkeypatch.setattr(optimize, "MAX_ITERATIONS", 4)
+    told = {r.what: r for r in what_limits(objective, found, lambda _: None)}
     for what in ("spool: ten times as fast", "computing delay: none"):
         assert told[what].gain > 0.1
     assert told["sensor noise: none"].gain < 0.1
@@ -223,17 +229,34 @@ def test_what_limits_it(goal, found, monkeypatch):
 
 
 def test_a_rig_file_keeps_its_comments(tmp_path):
+    gains = {"k_p": 2.5, "A_a_lower": 5.0, "tau_d": 1e-3}
     units = {"k_p": "V/kN", "A_a_lower": "V*s", "tau_d": "s"}
-    text = report.with_gains(
-        Path(SPEC.path), {"k_p": 2.5, "A_a_lower": 5.0, "tau_d": 1e-3}, units
-    )
-    assert "# the spool" in text
-    made = tomlkit.parse(text)["controller"]
+    rig = replace(tuned(), file=SPEC, gains=gains, units=units).rig
+    assert "# the spool" in rig.text and rig.name == SPEC.name
+    made = tomlkit.parse(rig.text)["controller"]
     assert made["k_p"] == "2.5 V/kN" and made["tau_d"] == "0.001 s"
     assert list(made["A_a"]) == ["5 V*s", "15 V*s"]
-    (tmp_path / "rig.toml").write_text(text)
-    law = open_setting(RigFile.load(tmp_path / "rig.toml")).loop.law
+    law = open_setting(rig).loop.law
     assert float(law.k_p) == pytest.approx(2.5e-3 * 1.18e-4)
+
+
+def test_a_tuning_in_a_notebook(tmp_path):
+    """A row a gain, the gist in one line, all of it as text, and a folder."""
+    one = tuned()
+    frame = one.to_frame()
+    assert frame.index.tolist() == ["k_p", "k_f"]
+    assert frame.loc["k_p"].tolist() == [1.2, 1.31, "V/kN"]
+    assert repr(one) == (
+        "<Tuned 'STVF joint 1': k_p=1.31, k_f=3.2; within 1 dB up to 28.0 Hz>"
+    )
+    text = one.summary()
+    assert "Within 1 dB up to 28.0 Hz" in text and "The main limit is spool" in text
+    rows = {line.split("  ")[0]: line.split() for line in text.splitlines()}
+    assert rows["k_f"] == ["k_f", "2.4", "3.2", "V/kN"]
+    assert rows["Peak"] == ["Peak", "2", "dB", "–", "2", "dB", "2.5", "dB"]
+    one.save(tmp_path / "out")
+    made = RigFile.load(tmp_path / "out" / "rig.toml")
+    assert made.controller["k_f"] == "3.2 V/kN" == one.rig.controller["k_f"]
 
 
 def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
@@ -251,7 +274,7 @@ def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
         }],
     }  # fmt: skip
     (folder / "report.json").write_text(json.dumps(content))
-    monkeypatch.setattr(optimize, "MOST_STEPS", 3)
+    monkeypatch.setattr(optimize, "MAX_ITERATIONS", 3)
     words = ["hydrojax", "tune", str(folder), "--ensemble", "2", "--starts", "1",
              "--out", str(out)]  # fmt: skip
     monkeypatch.setattr(sys, "argv", words)
@@ -266,8 +289,8 @@ def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
     page = (out / "report.html").read_text()
     for said in (
         "old model (without internal leakage), gains before",
-        "mended model, the new gains",
-        "What limits it now",
+        "new model, gains after",
+        "What limits the bandwidth",
         "data:image",
     ):
         assert said in page
@@ -275,20 +298,28 @@ def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
     assert new.effects and new.controller["k_p"] != "1.2 V/kN"
 
 
-def test_bad_input_is_said(tmp_path):
-    with pytest.raises(InputError, match="no rig.toml"):
-        api.tune(tmp_path)
+def test_bad_input_is_said(tmp_path, call):
+    said = call("tune", tmp_path, "--out", tmp_path / "out")
+    assert said.code == 2 and "no rig.toml" in said.err
     (tmp_path / "rig.toml").write_text((tmp_path / "x").name)
     with pytest.raises(InputError, match="rig.toml"):
-        api.tune(tmp_path)
+        api.tune_gains(tmp_path / "rig.toml")
+    with pytest.raises(InputError, match="no report of identify or trace"):
+        api.tune_gains(SPEC, findings=tmp_path)
     with pytest.raises(InputError, match="unknown quantity 'k_pp'"):
-        api.tune(Path(SPEC.path), free=("k_pp",))
+        api.tune_gains(SPEC, free=("k_pp",))
+    with pytest.raises(InputError, match="invalid gain 'beta'"):
+        api.tune_gains(SPEC, free=("beta",))
 
 
-def test_merits_of_the_worst():
+def test_metrics_of_the_worst():
     values = {"within_1dB": np.array([20.0, np.nan]), "peak": np.array([1.0, np.nan]),
               "rms": np.array([5.0, 7.0])}  # fmt: skip
-    assert result.least(values["within_1dB"]) == 0.0
-    assert result.most(values["peak"]) is None
-    assert result.own(values) == {"within_1dB_Hz": 20, "peak_dB": 1, "rms_N": 5}
-    assert replace(Limits(), peak=1.0).peak == 1.0
+    assert metrics.minimum(values["within_1dB"]) == 0.0
+    assert metrics.maximum(values["peak"]) is None
+    assert metrics.rig_metrics(values) == {
+        "within_1dB_Hz": 20,
+        "peak_dB": 1,
+        "rms_N": 5,
+    }
+    assert replace(Limits(), peak_dB=1.0).peak_dB == 1.0

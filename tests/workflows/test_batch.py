@@ -22,11 +22,11 @@ import pandas as pd
 import psutil
 import pytest
 
-from hydrojax.effects.mechanics import ViscousFriction
+from hydrojax.effects.friction import ViscousFriction
 from hydrojax.identify import api as identifying
 from hydrojax.identify.case import open_case
-from hydrojax.tune import plan as tuning
-from hydrojax.tune import sweep
+from hydrojax.rigfile.schema import RigFile
+from hydrojax.tune import api, sweep
 from hydrojax.workflows.fleet import run as running
 from hydrojax.workflows.fleet import summary, sweeps
 from hydrojax.workflows.fleet.jobs import read_jobs
@@ -368,10 +368,13 @@ def test_a_cluster_that_loses_a_worker_loses_nothing(tmp_path):
 
 
 def test_a_sweep_s_chunks_are_the_same_from_any_worker(tmp_path, monkeypatch):
-    rig = ROOT / "hydrojax" / "paper" / "reference.toml"
-    over = ["k_p=0.4:2:20", "k_f=0.5:4:15"]  # 300 cells: two chunks
-    words = (rig, over, ("linear",), {"rho_a": 0.0}, (), 1, 0.2, None, False)
-    alone = tuning.sweep_rig(*words, tmp_path / "alone")
+    rig = RigFile.load(ROOT / "hydrojax" / "paper" / "reference.toml")
+    asked = {
+        # 300 cells: two chunks
+        "axes": {"k_p": np.linspace(0.4, 2, 20), "k_f": np.linspace(0.5, 4, 15)},
+        "gains": {"rho_a": 0.0},
+    }
+    alone = api.sweep(rig, **asked, out=tmp_path / "alone")
     units = []
 
     @contextmanager
@@ -386,12 +389,12 @@ def test_a_sweep_s_chunks_are_the_same_from_any_worker(tmp_path, monkeypatch):
     monkeypatch.setattr(sweeps, "client", nobody)
     monkeypatch.setattr(sweeps, "share_out", backwards)
     shared, told = tmp_path / "shared", []
-    sweeps.share_sweep(words, (), shared, "local:2", lambda *n: told.append(n))
+    sweeps.share_sweep(rig, asked, (), shared, "local:2", lambda *n: told.append(n))
     assert [u.number for u in units] == [0, 1] and told == [(1, 2), (2, 2)]
     monkeypatch.setattr(sweep, "_Work", None)  # nothing is worked out again
-    found = tuning.sweep_rig(*words, shared)
+    found = api.sweep(rig, **asked, out=shared)
     assert all(np.array_equal(found[n], alone[n], equal_nan=True) for n in alone)
-    sweeps.share_sweep(words, (), shared, "local:2")
+    sweeps.share_sweep(rig, asked, (), shared, "local:2")
     assert len(units) == 2
 
 

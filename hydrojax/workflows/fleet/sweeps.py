@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,16 +12,18 @@ from typing import Any
 
 from hydrojax.effects import load_effects
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
-from hydrojax.tune import plan, sweep
+from hydrojax.rigfile.schema import RigFile
+from hydrojax.tune import sweep
+from hydrojax.tune.api import plan_sweep
 from hydrojax.workflows.fleet.cluster import client, share_out
 
 
 @dataclass(frozen=True)
 class Unit:
-    """One chunk: the words that make the plan, with whole paths, and which it is."""
+    """One chunk: the arguments that make the plan, and which chunk it is."""
 
     sweep: str  # by which a worker knows the plan again
-    words: bytes  # pickled
+    arguments: bytes  # pickled
     effects: tuple[str, ...]
     out: str
     method: str
@@ -29,32 +31,32 @@ class Unit:
 
 
 def share_sweep(
-    words: tuple[Any, ...],
+    rig: RigFile,
+    arguments: Mapping[str, Any],
     effects: Sequence[Path],
     out: Path,
     address: str,
     progress: sweep.Progress | None = None,
 ) -> None:
-    """Have the chunks that a sweep's folder lacks worked out by a cluster.
+    """Have the chunks that a sweep's folder lacks computed by a cluster.
 
-    `run.sweep_rig` with the same words then finds them; a chunk whose workers were lost
-    again and again is left to it.
+    `tune.api.sweep` with the same arguments then finds them; a chunk whose workers were
+    lost again and again is left to it.
 
     Args:
-        words: arguments of `run.plan_sweep`, in its order.
+        rig: the rig file.
+        arguments: the others of `tune.api.plan_sweep`, by name.
         effects: files with a user's own effects.
         out: the sweep's folder, which every worker sees under the same path.
         address: of the scheduler, or local:N.
         progress: called with the chunks done and their total number.
 
     Raises:
-        InputError: words, a folder or an address that will not do.
+        InputError: invalid arguments, folder or address.
     """
-    rig, *middle, report, frozen = words
-    report = report and Path(report).absolute()
-    whole = pickle.dumps((Path(rig).absolute(), *middle, report, frozen))
+    whole = pickle.dumps((rig, dict(arguments)))
     own = tuple(str(Path(p).absolute()) for p in effects)
-    left = sweep.left(plan.plan_sweep(*words), out)
+    left = sweep.left(plan_sweep(rig, **arguments), out)
     if not left:
         return
     done = 0
@@ -65,23 +67,26 @@ def share_sweep(
         if progress:
             progress(done, len(left))
 
-    own_name = uuid.uuid4().hex  # the same words may come to mean another rig
+    own_name = uuid.uuid4().hex  # the same arguments may come to mean another rig
     units = (Unit(own_name, whole, own, str(out.absolute()), *each) for each in left)
     with client(address) as found:
         share_out(units, work_out, found, hear, lambda unit, _: unit)
 
 
 def work_out(unit: Unit) -> Unit:
-    """Work out a chunk and keep it; what the worker has compiled serves the next."""
-    _worker(unit.sweep, unit.words, unit.effects, unit.out)(unit.method, unit.number)
+    """Compute a chunk and keep it; what the worker has compiled serves the next."""
+    _worker(unit.sweep, unit.arguments, unit.effects, unit.out)(
+        unit.method, unit.number
+    )
     return unit
 
 
 @lru_cache(maxsize=1)
 def _worker(
-    _sweep: str, words: bytes, effects: tuple[str, ...], out: str
+    _sweep: str, arguments: bytes, effects: tuple[str, ...], out: str
 ) -> Callable[[str, int], None]:
     set_up_jax(user_cache(), LOOPS)
     for path in effects:
         load_effects(path)
-    return sweep.chunk_worker(plan.plan_sweep(*pickle.loads(words)), Path(out))
+    rig, more = pickle.loads(arguments)
+    return sweep.chunk_worker(plan_sweep(rig, **more), Path(out))

@@ -26,7 +26,7 @@ def _best(data: xr.Dataset) -> list[tuple[str, xr.Dataset | None]]:
 
 
 def sentences(data: xr.Dataset) -> list[str]:
-    """The gist of a sweep in words, one line for each way."""
+    """The result of a sweep in words, one line for each way."""
     from hydrojax.tune.plots import axes_of
 
     said = []
@@ -80,9 +80,13 @@ class Swept:
 
         ways = self.data.attrs.get("methods", "").split()
         if not any(f"{way}_within_1dB" in self.data for way in ways):
-            raise InputError("no linear_within_1dB or the like: this is no whole sweep")
+            raise InputError(
+                "no linear_within_1dB or the like: the dataset is not a whole sweep"
+            )
         if not axes_of(self.data):
-            raise InputError("no axis is left to draw over: keep one of the sweep's")
+            raise InputError(
+                "no axis of the sweep is left to draw over; keep at least one"
+            )
         known = sorted({
             str(name).removeprefix(f"{way}_")
             for way in ways
@@ -90,10 +94,12 @@ class Swept:
             if str(name).startswith(f"{way}_") and f"{way}_hertz" not in table.dims
         })  # fmt: skip
         if quantity not in known:
-            raise InputError(f"quantity {quantity!r}: write one of {', '.join(known)}")
+            raise InputError(
+                f"invalid quantity {quantity!r}: expected one of {', '.join(known)}"
+            )
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the gist, and the axes."""
+        """What a notebook shows: the result in words, and the axes."""
         from hydrojax.tune.plots import axes_of
 
         axes = [_axis(self.data[name]) for name in axes_of(self.data)]

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from hydrojax.report import markup
-from hydrojax.tune.metrics import least, most
+from hydrojax.tune.metrics import maximum, minimum
 from hydrojax.tune.optimize import TIGHT
-
-if TYPE_CHECKING:
-    from hydrojax.tune.result import Tuned
+from hydrojax.tune.tuning import Tuning
 
 _BEFORE, _AFTER = "#b2382e", "#1f4e9c"
 
@@ -25,8 +23,8 @@ ROWS = (
     ("Phase margin", "phase_margin", "°", 1.0, min),
     ("Delay margin", "delay_margin", "ms", 1e3, min),
     ("Tracking, RMS", "rms", "N", 1.0, max),
-    ("Force by sensor noise, RMS", "noise_F", "N", 1.0, max),
-    ("Command by sensor noise, RMS", "noise_u", "V", 1.0, max),
+    ("Force due to sensor noise, RMS", "noise_F", "N", 1.0, max),
+    ("Command due to sensor noise, RMS", "noise_u", "V", 1.0, max),
 )
 
 
@@ -37,7 +35,7 @@ def show(value: Any, unit: str) -> str:
     return f"{value:.3g} {unit}".replace("-", "−")
 
 
-def table(t: Tuned) -> list[tuple[str, ...]]:
+def table(t: Tuning) -> list[tuple[str, ...]]:
     """Before and after, the rig's and the worst plant's."""
     out = []
     for title, name, unit, factor, worst in ROWS:
@@ -52,40 +50,68 @@ def table(t: Tuned) -> list[tuple[str, ...]]:
     return out
 
 
-def sentence(t: Tuned) -> str:
-    """The gist in one line."""
-    was, now = (least(f["within_1dB"]) for f in (t.before, t.after))
+def sentence(t: Tuning) -> str:
+    """The result in one line."""
+    was, now = (minimum(f["within_1dB"]) for f in (t.before, t.after))
     if not now:
         return "No gains were found at which every plant of the ensemble is stable."
-    peaks = [most(f["peak"]) for f in (t.before, t.after)]
+    peaks = [maximum(f["peak"]) for f in (t.before, t.after)]
     said = f"Within 1 dB up to {now:.1f} Hz for every plant"
     if was:
         said += f", {now / was:.2f} times the {was:.1f} Hz before"
     said += f"; peak at most {peaks[1]:.1f} dB"
     if peaks[0] is not None:
         said += f", {peaks[0]:.1f} before"
-    broken = [n for n, s in t.found.slack.items() if s < -0.02]
+    broken = [n for n, s in t.optimum.slack.items() if s < -0.02]
     return said + (f". Not kept: {', '.join(broken)}." if broken else ".")
 
 
-def limit(t: Tuned) -> str:
-    """What holds the loop back most, in words."""
-    gains = [r for r in t.relaxed if r.gain > 0.03]
-    if not gains:
-        return "Nothing that was tried by itself would widen it by more than 3 %."
-    top = gains[0]
-    return (
-        f"Most of all: {top.what.partition(':')[0]}. Without it the worst plant would "
-        f"reach {top.band:.1f} Hz, {100 * top.gain:+.0f} %."
+def summary(t: Tuning) -> str:
+    """Gains, metrics before and after, and what limits the loop, as plain text."""
+    gains = [
+        (name, f"{t.start[name]:.4g}", f"{value:.4g}", t.units[name])
+        for name, value in t.gains.items()
+    ]
+    heads = ("", "before", "worst plant", "after", "worst plant")
+    parts = [
+        f"{t.name}: {sentence(t)}",
+        _columns(("gain", "before", "after", "unit"), gains),
+        _columns(heads, table(t)),
+        limit(t),
+    ]
+    return "\n\n".join((*parts, *t.notes))
+
+
+def _columns(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """Rows under their heads, the first column to the left, the others to the right."""
+    wide = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(n) if i else cell.ljust(n)
+            for i, (cell, n) in enumerate(zip(row, wide, strict=True))
+        ).rstrip()
+        for row in (heads, *rows)
     )
 
 
-def ends(t: Tuned) -> list[str]:
-    """The limits that the tuned loop stands at, by name."""
-    return [name for name, left in t.found.slack.items() if abs(left) < TIGHT]
+def limit(t: Tuning) -> str:
+    """What limits the loop most, in words."""
+    gains = [r for r in t.relaxed if r.gain > 0.03]
+    if not gains:
+        return "Relaxing any single limit widens the band by at most 3 %."
+    top = gains[0]
+    return (
+        f"The main limit is {top.what.partition(':')[0]}: relaxed, the worst plant "
+        f"reaches {top.band:.1f} Hz, {100 * top.gain:+.0f} %."
+    )
 
 
-def bode_figure(t: Tuned) -> Figure:
+def ends(t: Tuning) -> list[str]:
+    """Names of the limits that the tuned loop reaches."""
+    return [name for name, left in t.optimum.slack.items() if abs(left) < TIGHT]
+
+
+def bode_figure(t: Tuning) -> Figure:
     """Gain and phase before and after, with the ensemble's range."""
     fig = Figure(figsize=(8.0, 6.2), layout="constrained")
     top, bottom = fig.subplots(2, 1, sharex=True)
@@ -116,19 +142,19 @@ def bode_figure(t: Tuned) -> Figure:
         ax.set_xlim(0.5, 200)
         ax.grid(alpha=0.3)
     top.legend()
-    top.set_title(f"{t.rig}: linearised, adaptation frozen", fontsize=10)
+    top.set_title(f"{t.name}: linearised, adaptation frozen", fontsize=10)
     return fig
 
 
-def limits_figure(t: Tuned) -> Figure:
+def limits_figure(t: Tuning) -> Figure:
     """What each limit costs, as bars."""
     fig = Figure(figsize=(8.0, 0.42 * len(t.relaxed) + 1.3), layout="constrained")
     ax = fig.subplots()
     names = [r.what for r in t.relaxed][::-1]
     ax.barh(names, [r.band for r in t.relaxed][::-1], color=_AFTER, alpha=0.75)
-    now = least(t.after["within_1dB"])
+    now = minimum(t.after["within_1dB"])
     ax.axvline(now, color="black", lw=1.2, label=f"now {now:.1f} Hz")
-    was = least(t.before["within_1dB"])
+    was = minimum(t.before["within_1dB"])
     ax.axvline(was, color=_BEFORE, lw=1.2, ls="--", label=f"before {was:.1f} Hz")
     ax.set_xlabel("within 1 dB up to, worst plant (Hz)")
     ax.legend(loc="lower right", fontsize=8)
@@ -136,8 +162,8 @@ def limits_figure(t: Tuned) -> Figure:
     return fig
 
 
-def html(t: Tuned) -> str:
-    """Gains, merits before and after, and what limits it: what a notebook shows."""
+def html(t: Tuning) -> str:
+    """Gains, metrics before and after, and what limits it: what a notebook shows."""
     gains = [
         (name, f"{t.start[name]:.4g}", f"{value:.4g}", t.units[name])
         for name, value in t.gains.items()
@@ -147,7 +173,7 @@ def html(t: Tuned) -> str:
         for r in t.relaxed
     ]
     return markup.block(
-        markup.paragraph(sentence(t), f"{t.rig}:"),
+        markup.paragraph(sentence(t), f"{t.name}:"),
         markup.table(("gain", "before", "after", "unit"), gains),
         markup.table(("", "before", "worst plant", "after", "worst plant"), table(t)),
         markup.paragraph(limit(t)),

@@ -1,0 +1,12 @@
+"""What `import hydrojax` offers; `__init__.py` loads each name when it is used."""
+
+from .control.simulation import simulate as simulate
+from .errors import InputError as InputError
+from .jax_setup import set_up_jax as set_up_jax
+from .logs.log import Log as Log
+from .rigfile.schema import RigFile as RigFile
+from .tune.api import sweep as sweep
+from .tune.api import tune_gains as tune_gains
+from .tune.objective import Limits as Limits
+
+__version__: str

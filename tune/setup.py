@@ -1,0 +1,74 @@
+"""A rig at its operating point, with its quantities by name and its ensemble."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from hydrojax.errors import InputError
+from hydrojax.rigfile.quantities import (
+    Quantity,
+    Setting,
+    find,
+    open_setting,
+    quantities,
+)
+from hydrojax.rigfile.schema import RigFile
+from hydrojax.tune.ensemble import Plants, ensemble, from_findings
+from hydrojax.tune.findings import Findings
+
+
+def rig_file(rig: RigFile | str | Path) -> RigFile:
+    """A rig file that may be given by its path.
+
+    Raises:
+        InputError: the file cannot be read, or is none.
+    """
+    return rig if isinstance(rig, RigFile) else RigFile.load(rig)
+
+
+def open_rig(
+    rig: RigFile,
+    gains: Mapping[str, object] | None = None,
+    at: Mapping[str, float | str] | None = None,
+    named: Iterable[str] = (),
+    findings: Findings | None = None,
+) -> tuple[Setting, dict[str, Quantity]]:
+    """A rig as a loop at an operating point, and what can be named in it.
+
+    Args:
+        rig: the rig file.
+        gains: keys of [controller] that replace the file's.
+        at: values of other quantities, the operating point above all.
+        named: names of further quantities: the effects they belong to are put in.
+        findings: of `identify` or `trace`: the plant is the one they found.
+
+    Raises:
+        InputError: an unknown name, or a value that its quantity cannot take.
+    """
+    at = at or {}
+    added = findings.effects if findings else ()
+    setting = open_setting(rig, gains, [*added, *at, *named])
+    setting = findings.apply(setting) if findings else setting
+    known = quantities(rig, setting)
+    for name, value in at.items():
+        quantity = find(known, name, f"at {name}")
+        setting = quantity.put(setting, quantity.number(value, f"at {name}"))
+    return setting, known
+
+
+def make_plants(
+    setting: Setting, count: int, spread: float, findings: Findings | None
+) -> Plants | None:
+    """An ensemble of so many plants; None for the rig alone.
+
+    Raises:
+        InputError: nothing in the findings was fitted, or `count` is below 1.
+    """
+    if count < 1:
+        raise InputError(f"invalid number of plants {count}: expected 1 or more")
+    if count < 2:
+        return None
+    if findings is not None:
+        return from_findings(setting, findings, count)
+    return ensemble(setting, count, spread)

@@ -1,0 +1,94 @@
+"""The figures of a tuning: gains, metrics before and after, what limits the loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from hydrojax.rigfile import edit
+from hydrojax.rigfile.schema import RigFile
+from hydrojax.tune.limiting import Relaxed
+from hydrojax.tune.metrics import rig_metrics, worst_metrics
+from hydrojax.tune.objective import Limits
+from hydrojax.tune.optimize import Optimum
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, repr=False)
+class Tuning:
+    """The figures of what `tune_gains` found; `Tuned` shows and saves them.
+
+    Attributes:
+        file: the rig file that was tuned, with the gains that it had.
+        gains: values by name, in the unit of `units`.
+        units: of the gains: the paper's.
+        start: the values before.
+        before, after: metrics of every plant by name; the rig itself is the first.
+        hertz: of the responses among them.
+        optimum: where the descents ended.
+        relaxed: what limits the loop, the most first.
+        plants: what the ensemble is.
+        limits: what was to be kept.
+        comparison: of models and gains: a title, and metrics of the rig itself.
+        notes: remarks.
+    """
+
+    file: RigFile
+    gains: dict[str, float]
+    units: dict[str, str]
+    start: dict[str, float]
+    before: dict[str, Float[np.ndarray, "plants *rest"]]
+    after: dict[str, Float[np.ndarray, "plants *rest"]]
+    hertz: Float[np.ndarray, "lines"]
+    optimum: Optimum
+    relaxed: tuple[Relaxed, ...]
+    plants: str
+    limits: Limits
+    comparison: tuple[tuple[str, dict[str, float | None]], ...] = ()
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def name(self) -> str:
+        """The rig's."""
+        return self.file.name
+
+    @cached_property
+    def rig(self) -> RigFile:
+        """The rig file with the gains in it; all else, comments too, as it was."""
+        keys: dict[str, Any] = {}
+        for name, value in self.gains.items():
+            written = edit.text(value, self.units[name])
+            key, _, end = name.removesuffix("_hat").rpartition("_")
+            if end in ("lower", "upper"):
+                both = keys.get(key, self.file.controller.get(key, written))
+                both = list(both) if isinstance(both, list) else [both, both]
+                both[end == "upper"] = written
+                keys[key] = both
+            else:
+                keys[name.removesuffix("_hat")] = written
+        text = edit.rewrite(self.file, {}, controller=keys)
+        return RigFile.from_text(text, self.file.path)
+
+    def to_frame(self) -> pd.DataFrame:
+        """The gains: a row each, with columns `before`, `after` and `unit`."""
+        import pandas as pd
+
+        rows = {n: (self.start[n], v, self.units[n]) for n, v in self.gains.items()}
+        columns = ["before", "after", "unit"]
+        frame = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+        return frame.rename_axis("gain")
+
+    def json(self) -> dict[str, Any]:
+        """The content of tune.json: gains in the paper's units."""
+        return {
+            "gains": self.gains,
+            "before": rig_metrics(self.before),
+            "after": rig_metrics(self.after),
+            "worst_of_ensemble": worst_metrics(self.after),
+        }
