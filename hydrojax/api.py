@@ -8,7 +8,7 @@ from hydrojax.identify import api
 from hydrojax.identify.case import Case, LogSource, RigSource, open_case
 from hydrojax.identify.result import Result
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.jax_setup import set_up_jax, user_cache
+from hydrojax.jax_setup import ensure_jax
 
 Progress = Callable[[str], None]
 """Is called with a line of text at each stage."""
@@ -88,8 +88,5 @@ def _opened(
     criteria: Criteria,
 ) -> Case:
     """The case, once JAX is in double precision."""
-    import jax
-
-    if not jax.config.read("jax_enable_x64"):
-        set_up_jax(user_cache())
+    ensure_jax()
     return open_case(rig, logs, validate, test, horizon=horizon, criteria=criteria)
