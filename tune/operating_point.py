@@ -135,10 +135,11 @@ def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
     memory = carry.law._replace(estimates=believed, P_d=P_d[0])
     # The environment may be moving from the first sample on.
     memory = memory._replace(v=setting.v, speed=jnp.abs(setting.v))
-    plant = carry.plant._replace(speed=carry.plant.speed + jnp.abs(setting.v))
-    carry = carry._replace(
-        law=memory, plant=plant, motion=carry.motion._replace(v=setting.v)
+    plant = carry.plant._replace(
+        speed=carry.plant.speed + jnp.abs(setting.v),
+        motion=carry.plant.motion._replace(v=setting.v),
     )
+    carry = carry._replace(law=memory, plant=plant)
     if not settle:
         return carry
 

@@ -1,14 +1,12 @@
 """The closed loop: sensors, law, valve path, plant and load in one `lax.scan`.
 
 At each sample the sensors are read, the law decides, and its command is held while the
-plant acts over the tick in parts: the same pieces of the one step
-(`Rig.command_parts`, `act`, `read`) that a log drives in a replay. A compute delay is
-the `valve_delay` effect of the rig, a spool its `valve_lag`.
+plant acts over the tick (`hydrojax.plant.step`). A compute delay is the `valve_delay`
+effect of the rig, a spool its `valve_lag`.
 """
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,9 +15,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from hydrojax.control.adaptive import Law, Measured, Memory
-from hydrojax.plant.friction import Sliding
-from hydrojax.plant.load import EnvironmentMotion, Load, Motion
-from hydrojax.plant.rig import Rig, State, StepInput
+from hydrojax.plant import step as plant_step
+from hydrojax.plant.load import AbstractLoad, EnvironmentMotion
+from hydrojax.plant.rig import Rig
+from hydrojax.plant.state import State, StepInput
 
 
 class Sensors(eqx.Module):
@@ -59,7 +58,7 @@ class Scenario(NamedTuple):
     """What a run is given: N samples; SI.
 
     `t`, `F_d` [N]; `noise` [N, 4] standard normal numbers for P_a1, P_a2, P_s, F;
-    `P_s`, `P_r` [N, 2] at both ends of each tick; `road` the environment's motion,
+    `P_s`, `P_r` [N, 2] at both ends of each tick; `environment` its motion,
     `x` [N, parts, 3], `v`, `a` [N, parts].
     """
 
@@ -79,7 +78,7 @@ class Loop(eqx.Module):
 
     rig: Rig
     law: Law
-    load: Load
+    load: AbstractLoad
     sensors: Sensors
     h: Array
     P_start: Array
@@ -87,7 +86,6 @@ class Loop(eqx.Module):
 
 class _Carry(NamedTuple):
     plant: State
-    motion: Motion
     law: Memory
     gauges: tuple[Array, Array]  # what the pressure sensors say, before noise
     cell: Array  # what the load cell says, before noise
@@ -105,48 +103,55 @@ SIGNALS = (
 what the law made of it, the estimates that made the command, and its switch L(t)."""
 
 
+def _inputs(loop: Loop, row: Scenario, u: Array) -> StepInput:
+    """One row of a scenario as the plant takes it, under the command `u`."""
+    environment = row.environment
+    return StepInput(
+        h=loop.h,
+        u=u,
+        P_s=row.P_s,
+        P_r=row.P_r,
+        x=environment.x,
+        dx=None,
+        v=environment.v,
+        a=environment.a,
+        t=row.t + loop.h,
+    )
+
+
 def begin(loop: Loop, scenario: Scenario) -> _Carry:
     """At rest at the first sample, with the desired force on the output."""
-    zero = jnp.zeros_like(loop.h)
-    x, F = scenario.environment.x[0, 0, 0], scenario.F_d[0]
+    zero, F = jnp.zeros_like(loop.h), scenario.F_d[0]
     friction = loop.rig.mechanics
     k_f = jnp.where(F > 0, friction.k_fp, friction.k_fn)
     # At rest L is 1: all of the friction is the presliding kind, (22).
     P = F + k_f * F / (1 + friction.delta * jnp.abs(F))
     P_a2 = (P + loop.rig.force_area_1 * loop.P_start) / loop.rig.force_area_2
-    plant = loop.rig.init(zero, loop.P_start, P_a2, x)
-    P_s = scenario.P_s[0, 0]
-
-    def force(v: Array, a: Array) -> Array:
-        at = Sliding(zero, x, v, a, zero, v, zero, *plant.P, P_s)
-        return loop.rig.output_force(at)
-
-    environment = jax.tree.map(lambda r: r[0, 0], scenario.environment)
-    motion = loop.load.begin(
-        environment, loop.h / scenario.environment.v.shape[-1], force
-    )
-    F = force(motion.v, motion.a)
-    gauges = (
-        loop.rig.sense_init(loop.rig.gauge(0), plant.P[0], zero)[1],
-        loop.rig.sense_init(loop.rig.gauge(1), plant.P[1], zero)[1],
-    )
-    cell = loop.rig.sense_init(loop.rig.sensor_F, F, zero)[1]
-    truth = Measured(*gauges, P_s, cell, x)
-    law = loop.law.init(loop.sensors.read(truth, scenario.noise[0]), scenario.F_d[0])
-    return _Carry(plant, motion, law, gauges, cell, F)
+    first = jax.tree.map(lambda a: a[0], scenario)
+    inputs = _inputs(loop, first, zero)
+    plant, read = plant_step.start(loop.rig, inputs, (loop.P_start, P_a2), loop.load)
+    x = first.environment.x[0, 0]
+    truth = Measured(read["P_a1"], read["P_a2"], first.P_s[0], read["F"], x)
+    law = loop.law.init(loop.sensors.read(truth, first.noise), first.F_d)
+    gauges = (read["P_a1"], read["P_a2"])
+    return _Carry(plant, law, gauges, read["F"], read["true_F"])
 
 
-def step(loop: Loop, carry: _Carry, tick: Scenario) -> tuple[_Carry, dict[str, Array]]:
-    """One sample: sense, decide, act until the next. `tick` is one row of a course."""
-    truth = Measured(*carry.gauges, tick.P_s[0], carry.cell, carry.motion.x)
-    seen = loop.sensors.read(truth, tick.noise)
+def step(loop: Loop, carry: _Carry, row: Scenario) -> tuple[_Carry, dict[str, Array]]:
+    """One sample: sense, decide, act until the next.
+
+    `row` is one row of a scenario.
+    """
+    motion = carry.plant.motion
+    truth = Measured(*carry.gauges, row.P_s[0], carry.cell, motion.x)
+    seen = loop.sensors.read(truth, row.noise)
     before = carry.law.estimates
-    law, u, made = loop.law.step(carry.law, seen, tick.F_d, loop.h)
+    law, u, made = loop.law.step(carry.law, seen, row.F_d, loop.h)
     now = {
         "u": u,
         **seen._asdict(),
-        "true_x": carry.motion.x,
-        "true_v": carry.motion.v,
+        "true_x": motion.x,
+        "true_v": motion.v,
         "true_P_a1": carry.plant.P[0],
         "true_P_a2": carry.plant.P[1],
         "true_F": carry.F,
@@ -154,48 +159,10 @@ def step(loop: Loop, carry: _Carry, tick: Scenario) -> tuple[_Carry, dict[str, A
         **before._asdict(),
         "L": loop.law.nominal.mechanics.switch(law.speed),
     }
-
-    parts = tick.environment.v.shape[-1]
-    h = loop.h / parts
-    rig, plant, motion, cell, F = (
-        loop.rig,
-        carry.plant,
-        carry.motion,
-        carry.cell,
-        carry.F,
-    )
-    command, openings = rig.command_parts(plant.command, u, loop.h, parts)
-    plant, gauges = plant._replace(command=command), carry.gauges
-
-    def ends(p: Array, i: int) -> Array:
-        return p[0] + jnp.array([i, i + 1]) / parts * (p[1] - p[0])
-
-    def force(plant: State, part: StepInput, v: Array, a: Array) -> Array:
-        return rig.output_force(rig.sliding(plant, part._replace(v=v, a=a)))
-
-    for i, spool in enumerate(openings):
-        environment = EnvironmentMotion(
-            tick.environment.x[i], tick.environment.v[i], tick.environment.a[i]
-        )
-        x = loop.load.move(motion, environment, h)
-        part = StepInput(
-            h=h,
-            u=u,
-            P_s=ends(tick.P_s, i),
-            P_r=ends(tick.P_r, i),
-            x=x,
-            dx=x[2:] - x[:1],
-            v=(x[0] - 4 * x[1] + 3 * x[2]) / h,  # of the piston, at the end
-            a=environment.a,
-            t=tick.t + (i + 1) * h,
-        )
-        plant = rig.act(plant, (spool,), part)
-
-        force_of = partial(force, plant, part)
-        motion, F = loop.load.advance(motion, x, environment, h, force_of)
-        plant, read = rig.read(plant, F, h)
-        gauges, cell = (read["P_a1"], read["P_a2"]), read["F"]
-    return _Carry(plant, motion, law, gauges, cell, F), now
+    inputs = _inputs(loop, row, u)
+    plant, read = plant_step.step(loop.rig, carry.plant, inputs, loop.load)
+    gauges = (read["P_a1"], read["P_a2"])
+    return _Carry(plant, law, gauges, read["F"], read["true_F"]), now
 
 
 def run(loop: Loop, scenario: Scenario, keep: tuple[str, ...] = SIGNALS) -> Array:

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from hydrojax import units
 from hydrojax.errors import InputError
-from hydrojax.export.stepping import SAME, Drive, advance, has_queue, start, ticks_of
+from hydrojax.export.stepping import SAME, Drive, advance, begin, has_queue, ticks_of
 from hydrojax.export.tree import identifier, meaning, plant
 from hydrojax.plant.layout import Layout
 from hydrojax.plant.named import get, hydraulic_names, parameter_specs, put
@@ -92,7 +93,7 @@ class Model:
         self._apply()
         P_a1, P_a2 = self.rest.values()
         pressures = (P_a1, P_a2) if self.valve else (0.0, self.drive["P"])
-        self._state, read = start(self.rig, self._drive(), *pressures)
+        self._state, read = begin(self.rig, self._drive(), *pressures)
         self._keep(read)
         self._h = None
 
@@ -112,13 +113,13 @@ class Model:
             )
         self._h = h
         drive = self._drive()
-        self._state, read = advance(
-            self.rig, self._state, drive, t, h, count, self.valve
-        )
+        self._state, read = advance(self.rig, self._state, drive, t, h, count)
         self._keep(read)
 
     def _drive(self) -> Drive:
-        return Drive._make(self.drive[name] for name in Drive._fields)
+        given = {name: jnp.asarray(self.drive[name], float) for name in Drive._fields}
+        drive = Drive(**given)
+        return drive._replace(P=None) if self.valve else drive
 
     def _apply(self) -> None:
         """Put into the rig what was set since."""
@@ -129,7 +130,7 @@ class Model:
             self._applied = dict(self.values)
 
     def _keep(self, read: dict[str, Any]) -> None:
-        self.read.update({name: float(value) for name, value in read.items()})
+        self.read.update({name: float(read[name]) for name in self.read})
 
 
 def _shown(names: Names, spec: RigFile) -> Names:

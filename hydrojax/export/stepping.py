@@ -13,12 +13,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from hydrojax.control.simulation import PARTS
-from hydrojax.plant.friction import Sliding
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import State, StepInput
+from hydrojax.plant.step import Signals, start, step
 
 SAME = 1e-6
 """Relative difference up to which two lengths of a step are the same."""
@@ -27,8 +27,9 @@ SAME = 1e-6
 class Drive(NamedTuple):
     """What drives the plant from the start of a step; SI.
 
-    `u` is the valve command (V or 1), `P` the drive force (N) where there is no valve;
-    `x`, `v`, `a` are the piston's as the encoder sees it, `P_s` and `P_r` the supply's.
+    `u` is the valve command (V or 1), `P` the drive force (N; None where a
+    valve drives), `x`, `v`, `a` are the piston's as the encoder sees it, `P_s` and
+    `P_r` the supply's.
     """
 
     u: Array
@@ -37,7 +38,7 @@ class Drive(NamedTuple):
     a: Array
     P_s: Array
     P_r: Array
-    P: Array
+    P: Array | None
 
 
 def has_queue(rig: Rig) -> bool:
@@ -54,8 +55,8 @@ def ticks_of(step: float, period: float) -> tuple[int, float]:
     return count, step / count
 
 
-def tick_from(drive: Drive, t: Array, since: Array, h: Array) -> StepInput:
-    """The tick that begins `since` seconds into a step, at time `t`.
+def inputs_from(drive: Drive, t: Array, since: Array, h: Array) -> StepInput:
+    """What drives the tick that begins `since` seconds into a step, at time `t`.
 
     The pressures are solved in as many parts of it as in the closed loop.
     """
@@ -64,51 +65,46 @@ def tick_from(drive: Drive, t: Array, since: Array, h: Array) -> StepInput:
     both = jnp.ones(2)
     return StepInput(
         h=h,
-        u=jnp.asarray(drive.u, float),
+        u=drive.u,
         P_s=drive.P_s * both,
         P_r=drive.P_r * both,
         x=x,
         dx=jnp.diff(x[:: 2 * PARTS // 4]),
         v=drive.v + drive.a * (since + h),
-        a=jnp.asarray(drive.a, float),
+        a=drive.a,
         t=t + h,
+        P=drive.P,
     )
 
 
+def _arrays(drive: Drive) -> Drive:
+    return jax.tree.map(lambda d: jnp.asarray(d, float), drive)
+
+
 @jax.jit
-def start(rig: Rig, drive: Drive, P_a1: Array, P_a2: Array) -> tuple[State, dict]:
+def begin(
+    rig: Rig, drive: Drive, P_a1: ArrayLike, P_a2: ArrayLike
+) -> tuple[State, Signals]:
     """At rest where `drive` begins: the state, and what the sensors read."""
-    drive = Drive._make(jnp.asarray(d, float) for d in drive)
-    P_a1, P_a2 = (jnp.asarray(p, float) for p in (P_a1, P_a2))
-    state = rig.init(drive.u, P_a1, P_a2, drive.x)
-    zero = jnp.zeros_like(P_a1)
-    at = Sliding(zero, drive.x, zero, zero, zero, zero, zero, P_a1, P_a2, drive.P_s)
-    signals = (P_a1, P_a2, rig.output_force(at))
-    paths = (rig.gauge(0), rig.gauge(1), rig.sensor_F)
-    read = [rig.sense_init(c, y, zero)[1] for c, y in zip(paths, signals, strict=True)]
-    return state, dict(zip(("P_a1", "P_a2", "F"), read, strict=True))
+    P = (jnp.asarray(P_a1, float), jnp.asarray(P_a2, float))
+    zero = jnp.zeros_like(P[0])
+    return start(rig, inputs_from(_arrays(drive), zero, zero, zero), P)
 
 
-@partial(jax.jit, static_argnames=("count", "valve"))
+@partial(jax.jit, static_argnames=("count",))
 def advance(
-    rig: Rig, state: State, drive: Drive, t: Array, h: Array, count: int, valve: bool
-) -> tuple[State, dict]:
-    """`count` ticks of length `h` from time `t`: the state, and what the sensors read.
+    rig: Rig,
+    state: State,
+    drive: Drive,
+    t: ArrayLike,
+    h: ArrayLike,
+    count: int,
+) -> tuple[State, Signals]:
+    """`count` ticks of length `h` from time `t`: the state, and the last readings."""
+    drive, t, h = _arrays(drive), jnp.asarray(t, float), jnp.asarray(h, float)
 
-    As `Rig.step`, but that a rod which gives is solved for, and that without a valve
-    the drive force is given.
-    """
-    drive = Drive._make(jnp.asarray(d, float) for d in drive)
-
-    def body(state: State, i: Array) -> tuple[State, dict]:
-        tick = tick_from(drive, t + i * h, i * h, h)
-        if valve:
-            command, opening = rig.command_step(state.command, tick.u, h)
-            state = rig.act(state._replace(command=command), opening, tick)
-        else:
-            state = rig.slide(state, tick)._replace(P=(0 * drive.P, drive.P))
-        F = rig.output_force(rig.sliding(state, tick))
-        return rig.read(state, F, h)
+    def body(state: State, i: Array) -> tuple[State, Signals]:
+        return step(rig, state, inputs_from(drive, t + i * h, i * h, h))
 
     state, read = jax.lax.scan(body, state, jnp.arange(count, dtype=float))
-    return state, {name: scenario[-1] for name, scenario in read.items()}
+    return state, {name: values[-1] for name, values in read.items()}

@@ -1,19 +1,21 @@
-"""What moves the piston in a closed loop: a given motion, or an inertia.
+"""What moves the piston: a logged motion, the environment, or an inertia.
 
 A load says where the piston goes over a part of a tick, and then takes the force that
-the cylinder puts out there.
+the cylinder puts out there. `hydrojax.plant.step` asks it.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from hydrojax.parameters import param
+from hydrojax.plant.state import StepInput
 
 
 class EnvironmentMotion(NamedTuple):
@@ -44,8 +46,97 @@ def _speed(environment: EnvironmentMotion, h: Array) -> Array:
     return (environment.x[..., 1] - environment.x[..., 0]) / (h / 2)
 
 
-class Driven(eqx.Module):
+def _parts(inputs: StepInput) -> tuple[StepInput, ...]:
+    """A tick cut at the parts of the environment's motion; the supply runs straight."""
+    n = inputs.v.shape[-1]
+    h = inputs.h / n
+
+    def ends(p: Array, i: int) -> Array:
+        share = jnp.array([i, i + 1]) / n
+        return p[..., :1] + share * (p[..., 1:] - p[..., :1])
+
+    return tuple(
+        inputs._replace(
+            h=h,
+            P_s=ends(inputs.P_s, i),
+            P_r=ends(inputs.P_r, i),
+            x=inputs.x[..., i, :],
+            v=inputs.v[..., i],
+            a=inputs.a[..., i],
+            t=inputs.t - (n - 1 - i) * h,
+        )
+        for i in range(n)
+    )
+
+
+def _moved(part: StepInput, x: Array) -> StepInput:
+    """A part in which the piston goes through `x` [..., 3], m."""
+    v = (x[..., 0] - 4 * x[..., 1] + 3 * x[..., 2]) / part.h  # at the end
+    return part._replace(x=x, dx=x[..., 2:] - x[..., :1], v=v)
+
+
+def environment_of(part: StepInput) -> EnvironmentMotion:
+    """The environment's motion over one part of a tick."""
+    return EnvironmentMotion(part.x, part.v, part.a)
+
+
+class AbstractLoad(eqx.Module):
+    """What is behind the load cell, and how it moves the piston."""
+
+    @abstractmethod
+    def parts(self, inputs: StepInput) -> tuple[StepInput, ...]:
+        """The parts of a tick after each of which the load takes the force."""
+
+    @abstractmethod
+    def begin(self, environment: EnvironmentMotion, h: Array, force: Force) -> Any:
+        """What it remembers at the start of the first part, of length `h` (s)."""
+
+    @abstractmethod
+    def piston(self, at: Any, part: StepInput) -> StepInput:
+        """The part with the piston's own motion in `x`, `dx` and `v`."""
+
+    @abstractmethod
+    def advance(
+        self,
+        at: Any,
+        x: Array,
+        environment: EnvironmentMotion,
+        h: Array,
+        force: Force,
+    ) -> tuple[Any, Array]:
+        """What it remembers at the part's end, and the output force there, N."""
+
+
+class Prescribed(AbstractLoad):
+    """The piston's motion is known beforehand: from a log, or another simulator."""
+
+    def parts(self, inputs):
+        """The whole tick."""
+        return (inputs,)
+
+    def begin(self, environment, h, force):
+        """Nothing to remember."""
+        return ()
+
+    def piston(self, at, part):
+        """As it was given."""
+        return part
+
+    def advance(self, at, x, environment, h, force):
+        """The force under the motion that was given, N."""
+        return at, force(environment.v, environment.a)
+
+
+class Driven(AbstractLoad):
     """The environment leads the piston; at rest it is locked."""
+
+    def parts(self, inputs):
+        """Those of the environment's motion."""
+        return _parts(inputs)
+
+    def piston(self, at, part):
+        """The environment's motion."""
+        return _moved(part, self.move(at, environment_of(part), part.h))
 
     def begin(self, environment: EnvironmentMotion, h: Array, force: Force) -> Motion:
         """Motion at the start of the first part, of length `h`."""
@@ -69,7 +160,7 @@ class Driven(eqx.Module):
         )
 
 
-class Inertia(eqx.Module):
+class Inertia(AbstractLoad):
     """A mass on the output, held by a spring and a damper to the environment.
 
     `mass a = F - damping (v - v_e) - stiffness (x - x_e)`, by the leapfrog rule: of
@@ -79,6 +170,14 @@ class Inertia(eqx.Module):
     mass: Array = param("kg", 150.0, 1e-3, 1e6, "load's mass")
     stiffness: Array = param("N/m", 2e6, 0.0, 1e10, "its spring to the environment")
     damping: Array = param("N*s/m", 2e3, 0.0, 1e8, "its damper to the environment")
+
+    def parts(self, inputs):
+        """Those of the environment's motion."""
+        return _parts(inputs)
+
+    def piston(self, at, part):
+        """Where the mass goes under its last acceleration."""
+        return _moved(part, self.move(at, environment_of(part), part.h))
 
     def begin(self, environment: EnvironmentMotion, h: Array, force: Force) -> Motion:
         """At rest where the spring is slack, and the acceleration that follows."""
@@ -115,6 +214,3 @@ class Inertia(eqx.Module):
         )
         a = (rest - pull) / (self.mass + self.damping * h / 2 - slope)
         return Motion(x[..., 2], half + h / 2 * a, a), rest + slope * a
-
-
-Load = Driven | Inertia

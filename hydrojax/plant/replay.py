@@ -4,7 +4,8 @@ Motion is known in a replay and the piston is massless, so nothing feeds back fr
 force to pressure. The step's pieces are therefore run one after the other: bristle and
 filtered speed once over each whole segment (in parallel, they are linear in their
 state); the command and the pressures in windows, each from its own initial pressures;
-force and sensors last. `Rig.step` scanned over the same log gives the same signals.
+force and sensors last. `hydrojax.plant.step` scanned over the same
+log gives the same signals.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hydrojax.plant import rod
+from hydrojax.plant import stretch
 from hydrojax.plant.friction import Sliding, run_linear
-from hydrojax.plant.rig import Rig, StepInput
+from hydrojax.plant.rig import Rig
+from hydrojax.plant.state import StepInput
 
 
 class Motion(NamedTuple):
@@ -93,9 +95,11 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
     dx, v = motion.dx, motion.v
     if rig.stretch:
         F = jnp.stack([motion.F[:, :-1], motion.F[:, 1:]], axis=-1)
-        dx = dx + jnp.diff(rod.ahead(rig.stretch, rod.along(F, quarters)), axis=-1)
-        F_rate = rod.rate(motion.F, motion.h)
-        v = v + rod.ahead_rate(rig.stretch, motion.F, F_rate)
+        dx = dx + jnp.diff(
+            stretch.ahead(rig.stretch, stretch.along(F, quarters)), axis=-1
+        )
+        F_rate = stretch.rate(motion.F, motion.h)
+        v = v + stretch.ahead_rate(rig.stretch, motion.F, F_rate)
     dx = dx.reshape(s, n * quarters)
     h = jnp.repeat(motion.h / quarters, quarters, axis=1)
     z_0, w_0 = jnp.zeros(s), motion.speed0

@@ -1,4 +1,7 @@
-"""A rig: one pytree of plant, signal paths and effects, and its one step."""
+"""A rig: one pytree of plant, signal paths and effects.
+
+`hydrojax.plant.step` moves it; here are the pieces of a step.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hydrojax.plant import rod
+from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Chambers, Lands, Point, sides
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.friction import Friction, Sliding
@@ -69,7 +72,7 @@ class Rig(eqx.Module):
     def command_step(
         self, memory: tuple, u: Array, h: Array
     ) -> tuple[tuple, tuple[Array, ...]]:
-        """The same over a whole tick.
+        """The same over a whole inputs.
 
         Returns the memories and the opening over the tick, as `Point` has it.
         """
@@ -82,6 +85,16 @@ class Rig(eqx.Module):
             open_p, open_n = open_p + p, open_n + n
         return memory, (open_p / PARTS, open_n / PARTS)
 
+    def openings(
+        self, memory: tuple, u: Array, h: Array, parts: int
+    ) -> tuple[tuple, list[tuple[Array, ...]]]:
+        """The memories after a tick, and the opening over each of its `parts`."""
+        if parts == 1:
+            memory, opening = self.command_step(memory, u, h)
+            return memory, [opening]
+        memory, spools = self.command_parts(memory, u, h, parts)
+        return memory, [(spool,) for spool in spools]
+
     def pressure_rates(self, at: Point) -> tuple[Array, Array]:
         """Rates of both chamber pressures, Pa/s; (12)-(15)."""
         q_1, q_2 = self.lands.flows(at, self.supply, self.orifice)
@@ -91,20 +104,21 @@ class Rig(eqx.Module):
         return self.chambers.rates(at, q_1, q_2, self.compliance, self.volume)
 
     def pressure_step(
-        self, P: tuple[Array, Array], opening: tuple[Array, ...], tick: StepInput
+        self, P: tuple[Array, Array], opening: tuple[Array, ...], inputs: StepInput
     ) -> tuple[Array, Array]:
         """Both pressures over one tick, by the midpoint rule in n substeps.
 
         Each substep moves the piston by its exact displacement, so what is left of
         the error is the pressures' own, of second order.
         """
-        n = (tick.x.shape[-1] - 1) // 2
-        h, x = tick.h / n, rod.place(self, tick)
+        n = (inputs.x.shape[-1] - 1) // 2
+        h, x = inputs.h / n, stretch.place(self.stretch, inputs)
 
         def rates(P, k, v):
             part = k / (2 * n)
             p_s, p_r = (
-                p[..., 0] + part * (p[..., 1] - p[..., 0]) for p in (tick.P_s, tick.P_r)
+                p[..., 0] + part * (p[..., 1] - p[..., 0])
+                for p in (inputs.P_s, inputs.P_r)
             )
             return self.pressure_rates(
                 Point(P[0], P[1], p_s, p_r, opening, x=x[..., k], v=v)
@@ -129,49 +143,10 @@ class Rig(eqx.Module):
         F = self.mechanics.output_force(P, f_c, self.mechanics.switch(at.speed))
         return F + sum(e.force(at) for e in self.force)
 
-    # -- the one step --
-
-    def init(self, u: Array, P_a1: Array, P_a2: Array, x: Array) -> State:
-        """At rest at `x` under the command `u`, with pressures `P_a1`, `P_a2`."""
-        rest = jnp.zeros_like(P_a1)
-        at = Sliding(rest, x, rest, rest, rest, rest, rest, P_a1, P_a2, P_a1 + 1.0)
-        F = self.output_force(at)
-        gauges = tuple(
-            self.sense_init(self.gauge(i), p, rest)[0]
-            for i, p in enumerate((P_a1, P_a2))
-        )
-        cell, _ = self.sense_init(self.sensor_F, F, rest)
-        films = (len(self.velocity) + 2,) if self.velocity else ()
-        speed = jnp.zeros((*rest.shape, *films), rest.dtype)
-        held = (F,) if self.stretch else ()
-        memory = self.command_init(u)
-        return State(memory, (P_a1, P_a2), rest, speed, gauges, cell, held)
-
-    def step(self, state: State, tick: StepInput) -> tuple[State, dict[str, Array]]:
-        """Act over one tick, then sense at its end.
-
-        Returns the new state and what the sensors read, `P_a1 P_a2 F` in SI.
-        """
-        command, opening = self.command_step(state.command, tick.u, tick.h)
-        if tick.F is None:  # none was logged: nothing stretches
-            tick = tick._replace(F=jnp.zeros_like(tick.P_s), F_rate=0 * tick.v)
-        state = self.act(state._replace(command=command), opening, tick)
-        F = self.output_force(self.sliding(state, tick))
-        return self.read(state, F, tick.h)
-
-    def act(self, state: State, opening: tuple[Array, ...], tick: StepInput) -> State:
-        """Pressures, bristle and filtered speed after a tick under `opening`."""
-        if self.stretch and tick.F is None:
-            F = rod.force(self, state, opening, tick)
-            tick = tick._replace(F=jnp.stack([state.rod[0], F], axis=-1))
-            state = state._replace(rod=(F,))
-        P = self.pressure_step(state.P, opening, tick)
-        return self.slide(state, tick)._replace(P=P)
-
-    def slide(self, state: State, tick: StepInput) -> State:
-        """Bristle, filtered speed and films after the piston's motion over a tick."""
-        dx = rod.moves(self, tick)
-        h = tick.h / dx.shape[-1]
+    def slide(self, state: State, inputs: StepInput) -> State:
+        """Bristle, filtered speed and films after the piston's motion over a inputs."""
+        dx = stretch.moves(self.stretch, inputs)
+        h = inputs.h / dx.shape[-1]
         z, speed = state.z, state.speed[..., 0] if self.velocity else state.speed
         for i in range(dx.shape[-1]):
             keep, add = self.mechanics.bristle_map(dx[..., i])
@@ -179,10 +154,10 @@ class Rig(eqx.Module):
             keep, add = self.mechanics.speed_map(dx[..., i], h)
             speed = keep * speed + add
         if self.velocity:
-            now = jnp.abs(rod.velocity(self, tick))
+            now = jnp.abs(stretch.velocity(self.stretch, inputs))
             films = [now]
             for i, effect in enumerate(self.velocity):
-                keep, add = effect.follow(state.speed[..., 1], now, tick.h)
+                keep, add = effect.follow(state.speed[..., 1], now, inputs.h)
                 films.append(keep * state.speed[..., 2 + i] + add)
             speed = jnp.stack([speed, *films], axis=-1)
         return state._replace(z=z, speed=speed)
@@ -196,21 +171,21 @@ class Rig(eqx.Module):
             return speed, 0.0
         return speed[..., 0], jnp.sum(speed[..., 2:] - speed[..., 1:2], axis=-1)
 
-    def sliding(self, state: State, tick: StepInput) -> Sliding:
-        """What friction sees at the end of a tick."""
-        v = rod.velocity(self, tick)
+    def sliding(self, state: State, inputs: StepInput) -> Sliding:
+        """What friction sees at the end of a inputs."""
+        v = stretch.velocity(self.stretch, inputs)
         speed, lag = self.films(state.speed)
         return Sliding(
-            t=tick.t,
-            x=tick.x[..., -1],
+            t=inputs.t,
+            x=inputs.x[..., -1],
             v=v,
-            a=tick.a,
+            a=inputs.a,
             z=state.z,
             z_rate=self.mechanics.z_rate(state.z, v),
             speed=speed,
             P_a1=state.P[0],
             P_a2=state.P[1],
-            P_s=tick.P_s[..., 1],
+            P_s=inputs.P_s[..., 1],
             lag=lag,
         )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxtyping import Array
 
@@ -10,11 +10,17 @@ from jaxtyping import Array
 class StepInput(NamedTuple):
     """What drives the plant over one tick of length `h`; SI.
 
-    `u` is held. `P_s` and `P_r` are [..., 2], at the tick's ends. `x` [..., 2n + 1] is
-    the position at the ends and middles of n substeps, `dx` [..., 4] the displacement
-    over each quarter, for the bristle; `v`, `a` and `t` hold at the tick's end. Where
-    it was logged, `F` [..., 2] is the output force at the tick's ends and `F_rate` its
-    rate at the end, for what it stretches.
+    Any leading axes `...`, the same for all. `u` is held. `P_s` and `P_r` are [..., 2],
+    at the tick's ends. `x`, `dx`, `v`, `a` are the motion that the load is given. For
+    `Prescribed`, `x` [..., 2n + 1] is the position at the ends and middles of n
+    substeps, `dx` [..., m] the displacement over each of m equal parts, for the
+    bristle, and `v`, `a` [...] hold at the tick's end. The other loads take the
+    environment's motion in parts: `x` [..., parts, 3], `v`, `a` [..., parts], and no
+    `dx`. `t` is the time at the tick's end.
+
+    Where it was logged, `F` [..., 2] is the output force at the tick's ends and
+    `F_rate` [...] its rate at the end, for what it stretches. Where no valve drives the
+    chambers, `P` [...] is the net drive force (N), held.
     """
 
     h: Array
@@ -22,12 +28,13 @@ class StepInput(NamedTuple):
     P_s: Array
     P_r: Array
     x: Array
-    dx: Array
+    dx: Array | None
     v: Array
     a: Array
     t: Array
     F: Array | None = None
     F_rate: Array | None = None
+    P: Array | None = None
 
 
 class State(NamedTuple):
@@ -35,7 +42,7 @@ class State(NamedTuple):
 
     `speed` is the filtered speed; where an oil film comes late, `abs(v)` and each
     film's speed stand behind it on a last axis. `rod` holds the force that stretches,
-    where one does.
+    where one does; `motion` what the load remembers of where the piston stands.
     """
 
     command: tuple
@@ -45,3 +52,4 @@ class State(NamedTuple):
     sensor_P: tuple  # of chamber 1, of chamber 2
     sensor_F: tuple
     rod: tuple = ()
+    motion: Any = ()

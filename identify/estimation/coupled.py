@@ -15,7 +15,7 @@ import numpy as np
 
 from hydrojax.identify.estimation.columns import Batch, Model
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.plant import rod
+from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.named import put
 from hydrojax.plant.rig import Rig
@@ -30,7 +30,7 @@ def stretched(model: Model, values: np.ndarray) -> Rig | None:
         return None
     rig = put(model.rig, model.names, jnp.asarray(values))
     probe = jnp.array([-1e3, 1e3])
-    return rig if np.any(np.asarray(rod.ahead(rig.stretch, probe))) else None
+    return rig if np.any(np.asarray(stretch.ahead(rig.stretch, probe))) else None
 
 
 def agreed(
@@ -79,7 +79,7 @@ def _followed(rig: Rig, batch: Batch, left: np.ndarray) -> tuple[Batch, float]:
 
 
 def _ahead(rig: Rig, F: np.ndarray) -> np.ndarray:
-    return np.asarray(rod.ahead(rig.stretch, jnp.asarray(F)))
+    return np.asarray(stretch.ahead(rig.stretch, jnp.asarray(F)))
 
 
 def answer(rig: Rig, batch: Batch) -> np.ndarray:

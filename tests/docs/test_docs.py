@@ -77,7 +77,7 @@ def test_every_page_is_there(site):
         "hydrojax.identify.case.open_case",
         "hydrojax.identify.api.trace_case",
         "hydrojax.identify.result.Result.plot",
-        "hydrojax.plant.rig.Rig.step",
+        "hydrojax.plant.step.step",
         "hydrojax.control.loop.run",
         "hydrojax.control.simulation.simulate",
         "hydrojax.control.adaptive.Law",

@@ -27,7 +27,8 @@ from hydrojax.plant.friction import Sliding, run_linear
 from hydrojax.plant.named import get, parameter_specs, put
 from hydrojax.plant.places import PLACES
 from hydrojax.plant.replay import friction_memory, pressures, readings
-from hydrojax.plant.rig import StepInput, add
+from hydrojax.plant.rig import add
+from hydrojax.plant.state import StepInput
 
 SHAPES = {
     "gravity_load": {"radius": 0.085},

@@ -22,7 +22,9 @@ from scipy.io import loadmat
 from hydrojax import export
 from hydrojax.control.simulation import simulate
 from hydrojax.errors import InputError
-from hydrojax.plant.rig import StepInput
+from hydrojax.plant.named import put
+from hydrojax.plant.state import StepInput
+from hydrojax.plant.step import start, step
 from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.controller import file_keys
@@ -396,7 +398,7 @@ def inputs(run, spec, seconds):
 
 
 def by_steps(rig, table, h, P, F=None, parts=4):
-    """`Rig.step` scanned over the same inputs, [n, 3], from rest at pressures `P`.
+    """The step scanned over the same inputs, [n, 3], from rest at pressures `P`.
 
     `F` [n + 1] is the force that stretches what gives.
     """
@@ -417,8 +419,9 @@ def by_steps(rig, table, h, P, F=None, parts=4):
     )
 
     def scan(rig):
-        state = rig.init(col["u"][0], *(jnp.asarray(p) for p in P), col["x"][0])
-        return jax.lax.scan(lambda s, tick: rig.step(s, tick), state, ticks)[1]
+        first = jax.tree.map(lambda a: a[0], ticks)
+        state, _ = start(rig, first, (jnp.asarray(P[0]), jnp.asarray(P[1])))
+        return jax.lax.scan(lambda s, tick: step(rig, s, tick), state, ticks)[1]
 
     read = jax.jit(scan)(rig)
     return np.stack([read[name] for name in ("P_a1", "P_a2", "F")], axis=1)
@@ -491,9 +494,13 @@ def test_an_fmu_solves_for_the_force_that_stretches_its_rod(fmpy, tmp_path):
     P = float(run["true_P_a1"][0]), float(run["true_P_a2"][0])
     found = run_fmu(fmpy, tmp_path / "rod.fmu", table, h, P)
     again = by_steps(loop.rig, table[:-1], h, P, F=jnp.asarray(found[:, 2]))
-    stiff = by_steps(loop.rig, table[:-1], h, P)
+    free = by_steps(loop.rig, table[:-1], h, P)
+    rigid = put(loop.rig, ["rod_compliance.give"], [0.0])
+    stiff = by_steps(rigid, table[:-1], h, P)
     size = np.ptp(found, axis=0)
     assert np.max(np.abs(found[1:] - again) / size) < 1e-5
+    # Given no force, the step solves for the same one.
+    assert np.max(np.abs(found[1:] - free) / size) < 1e-12
     assert np.max(np.abs(found[1:] - stiff) / size) > 1e-2
 
 

@@ -1,0 +1,189 @@
+"""The step of a rig: the closed loop, an FMU and a user's own loop all call it.
+
+`start` puts a rig at rest, `step` moves it over one tick. What gives between piston and
+encoder (a rod, a play) is solved for in each part of a tick unless the force that
+stretches it was logged.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hydrojax.plant.chambers import Point
+from hydrojax.plant.friction import Sliding
+from hydrojax.plant.load import AbstractLoad, Prescribed, environment_of
+from hydrojax.plant.rig import Rig
+from hydrojax.plant.state import State, StepInput
+from hydrojax.plant.stretch import ahead
+
+HALVINGS = 24
+"""Of the bracket that holds the force: to 1e-7 of a tick's change."""
+
+Signals = dict[str, Float[Array, "..."]]
+"""`P_a1`, `P_a2` (Pa) and `F` (N) as the sensors read them, and `true_F` (N), the
+output force itself."""
+
+
+def start(
+    rig: Rig,
+    inputs: StepInput,
+    P: tuple[Float[Array, ...], Float[Array, ...]],
+    load: AbstractLoad | None = None,
+) -> tuple[State, Signals]:
+    """A rig at rest at the start of a tick.
+
+    Args:
+        rig: the plant.
+        inputs: the first tick. The command's path is at rest under its `u`; bristle
+            and filtered speed are zero.
+        P: pressures of chambers 1 and 2, Pa, of one shape.
+        load: what moves the piston; None for `Prescribed`.
+
+    Returns:
+        The state, and what the sensors read after a long rest.
+    """
+    load = load or Prescribed()
+    first = load.parts(inputs)[0]
+    rest, x = jnp.zeros_like(P[0]), first.x[..., 0]
+
+    def force(v: Array, a: Array) -> Array:
+        at = Sliding(rest, x, v, a, rest, v, rest, *P, inputs.P_s[..., 0])
+        return rig.output_force(at)
+
+    still = force(rest, rest)
+    motion = load.begin(environment_of(first), first.h, force)
+    F = force(motion.v, motion.a) if motion else still
+    films = (len(rig.velocity) + 2,) if rig.velocity else ()
+    state = State(
+        command=rig.command_init(inputs.u),
+        P=P,
+        z=rest,
+        speed=jnp.zeros((*rest.shape, *films), rest.dtype),
+        sensor_P=tuple(
+            rig.sense_init(rig.gauge(i), p, rest)[0] for i, p in enumerate(P)
+        ),
+        sensor_F=rig.sense_init(rig.sensor_F, still, rest)[0],
+        rod=(still,) if rig.stretch else (),
+        motion=motion,
+    )
+    paths = {"P_a1": (rig.gauge(0), P[0]), "P_a2": (rig.gauge(1), P[1])}
+    paths["F"] = (rig.sensor_F, F)
+    read = {name: rig.sense_init(*path, rest)[1] for name, path in paths.items()}
+    return state, read | {"true_F": F}
+
+
+def step(
+    rig: Rig, state: State, inputs: StepInput, load: AbstractLoad | None = None
+) -> tuple[State, Signals]:
+    """Act over one tick, then sense at its end.
+
+    Elementwise over any leading axes; to be scanned, jitted, vmapped, differentiated.
+
+    Args:
+        rig: the plant.
+        state: where it stands, from `start` or the step before.
+        inputs: what drives it over the tick.
+        load: what moves the piston; None for `Prescribed`: as `inputs` has it.
+
+    Returns:
+        The new state, and what the sensors read at the tick's end.
+    """
+    load = load or Prescribed()
+    parts = load.parts(inputs)
+    command, openings = rig.openings(state.command, inputs.u, inputs.h, len(parts))
+    state = state._replace(command=command)
+    signals: Signals = {}
+    for opening, part in zip(openings, parts, strict=True):
+        moved = load.piston(state.motion, part)
+        state = act(rig, state, opening, moved)
+
+        def force(v: Array, a: Array, state=state, moved=moved) -> Array:
+            return rig.output_force(rig.sliding(state, moved._replace(v=v, a=a)))
+
+        motion, F = load.advance(
+            state.motion, moved.x, environment_of(part), part.h, force
+        )
+        state, signals = rig.read(state._replace(motion=motion), F, part.h)
+        signals |= {"true_F": F}
+    return state, signals
+
+
+def act(rig: Rig, state: State, opening: tuple[Array, ...], inputs: StepInput) -> State:
+    """Pressures, bristle and filtered speed after a tick under `opening`."""
+    if rig.stretch and inputs.F is None:
+        F = _stretching_force(rig, state, opening, inputs)
+        inputs = inputs._replace(F=jnp.stack([state.rod[0], F], axis=-1))
+        state = state._replace(rod=(F,))
+    P = _pressures(rig, state, opening, inputs)
+    return rig.slide(state, inputs)._replace(P=P)
+
+
+def _pressures(
+    rig: Rig, state: State, opening: tuple[Array, ...], inputs: StepInput
+) -> tuple[Array, Array]:
+    """Both pressures at the tick's end, Pa; a drive force that is given as P_a2."""
+    if inputs.P is not None:
+        return 0 * inputs.P, inputs.P / rig.force_area_2
+    return rig.pressure_step(state.P, opening, inputs)
+
+
+def _pressure_rates_per_speed(
+    rig: Rig,
+    P: tuple[Array, Array],
+    opening: tuple[Array, ...],
+    inputs: StepInput,
+) -> tuple[Array, Array]:
+    """By how much the pressures rise when the piston moves on, Pa/m."""
+    if inputs.P is not None:
+        return jnp.zeros_like(P[0]), jnp.zeros_like(P[1])
+
+    def rates(v: Array) -> tuple[Array, Array]:
+        ends = (inputs.P_s[..., 1], inputs.P_r[..., 1])
+        return rig.pressure_rates(Point(*P, *ends, opening, inputs.x[..., -1], v))
+
+    still, moving = rates(jnp.zeros_like(P[0])), rates(jnp.ones_like(P[0]))
+    return moving[0] - still[0], moving[1] - still[1]
+
+
+def _stretching_force(
+    rig: Rig, state: State, opening: tuple[Array, ...], inputs: StepInput
+) -> Array:
+    """The output force at the end of a tick that starts in `state`, N.
+
+    What stretches gives way as the force rises; pressures fall and the bristle bends
+    with it. So F lies between the force at the tick's start and that of a rod which
+    does not give. Solved by halving, and by one of Newton's steps for the derivative.
+    """
+    F_0 = state.rod[0]
+    held = inputs._replace(F=jnp.stack([F_0, F_0], axis=-1))
+    P = _pressures(rig, state, opening, held)
+    per_metre = _pressure_rates_per_speed(rig, P, opening, inputs)
+    begun = (state, inputs, P, per_metre)
+
+    def follows(F, rig, begun):
+        state, inputs, P, per_metre = begun
+        moved = ahead(rig.stretch, F) - ahead(rig.stretch, state.rod[0])
+        P = tuple(p + d * moved for p, d in zip(P, per_metre, strict=True))
+        inputs = inputs._replace(F=jnp.stack([state.rod[0], F], axis=-1))
+        state = rig.slide(state, inputs)._replace(P=P)
+        return rig.output_force(rig.sliding(state, inputs))
+
+    def over(F, rig, begun):
+        return F - follows(F, rig, begun)
+
+    free = follows(F_0, rig, begun)
+    fixed = jax.lax.stop_gradient((rig, begun))
+
+    def halve(_, bracket):
+        low, high = bracket
+        middle = (low + high) / 2
+        above = over(middle, *fixed) > 0
+        return jnp.where(above, low, middle), jnp.where(above, middle, high)
+
+    ends = jax.lax.stop_gradient((jnp.minimum(F_0, free), jnp.maximum(F_0, free)))
+    low, high = jax.lax.fori_loop(0, HALVINGS, halve, ends)
+    F = (low + high) / 2
+    value, slope = jax.jvp(lambda F: over(F, rig, begun), (F,), (jnp.ones_like(F),))
+    return F - value / jax.lax.stop_gradient(slope)
