@@ -1,4 +1,4 @@
-"""The command line: the roof over the whole house."""
+"""The command line."""
 
 from __future__ import annotations
 
@@ -23,14 +23,20 @@ def _version(wanted: bool) -> None:
 def options(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Say it."),
+        typer.Option(
+            "--version",
+            callback=_version,
+            is_eager=True,
+            help="Show the version and exit.",
+        ),
     ] = False,
 ) -> None:
-    """What holds for every command."""
+    """Options of every command."""
 
 
 SEVERAL = (
-    "--validate", "--gains", "--separate", "--over", "--by", "--at", "--free", "--to",
+    "--validate", "--test", "--gains", "--separate", "--over", "--by", "--at", "--free",
+    "--to",
 )  # fmt: skip
 """Options that take all words that follow."""
 
