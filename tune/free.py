@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from hydrojax.control.adaptive import Law
 from hydrojax.errors import InputError
 from hydrojax.plant.load import Inertia
-from hydrojax.rigfile.controller import KEYS
-from hydrojax.rigfile.quantities import Quantity, Setting, find
+from hydrojax.rigfile.quantities import Quantity, Setting, declared_gains, find
 
 FREE = ("k_p", "k_f", "k_1")
 """What is tuned by default: both gains, and how much of the desired
@@ -18,7 +18,14 @@ ADAPTATION = ("rho_a", "c_1", "c_2", "c_3", "A_a_lower", "A_a_upper")
 
 
 def default_free(setting: Setting) -> tuple[str, ...]:
-    """What is tuned where nothing is named: `FREE`, and `A_a` where a load moves."""
+    """What is tuned where nothing is named.
+
+    Of the paper's law `FREE`, and `A_a` where a load moves; of another controller all
+    that it declares but the saturation.
+    """
+    if not isinstance(setting.loop.law, Law):
+        known = declared_gains(setting)
+        return tuple(name for name, field in known.items() if field != "u_max")
     moves = isinstance(setting.loop.load, Inertia)
     return (*FREE, "A_a") if moves else FREE
 
@@ -30,15 +37,15 @@ def gain(known: Mapping[str, Quantity], name: str) -> Quantity:
         InputError: there is none of that name, or it is no gain.
     """
     quantity = find(known, name, f"gain {name}")
-    key = name
-    for end in ("_hat", "_lower", "_upper"):
-        key = key.removesuffix(end)
-    if key not in KEYS or (quantity.reach is None) or name == "rate":
-        raise InputError(f"invalid gain {name!r}: expected k_p, k_f, k_1, tau_d, A_a …")
+    if not quantity.gain:
+        gains = ", ".join(q.name for q in known.values() if q.gain)
+        raise InputError(f"invalid gain {name!r}: expected one of {gains}")
     return quantity
 
 
 def adaptable(known: Mapping[str, Quantity], setting: Setting) -> list[Quantity]:
     """The quantities of the adaptation that are above 0."""
+    if not isinstance(setting.loop.law, Law):
+        return []
     chosen = [known[n] for n in ADAPTATION]
     return [q for q in chosen if float(q.get(setting)) > 0]

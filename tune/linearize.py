@@ -21,7 +21,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from hydrojax.control.adaptive import ControllerSignals, Law, Measured, Memory
+from hydrojax.control.base import AbstractController, Measured
 from hydrojax.control.loop import step
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import operating_point
@@ -37,23 +37,23 @@ NUDGE = 1e-6
 """How far from a corner its sides are looked at: of u_max."""
 
 
-class Tapped(eqx.Module):
-    """A law to whose command something is added."""
+class Tapped(AbstractController):
+    """A controller to whose command something is added."""
 
-    law: Law
+    law: AbstractController
     push: Array
+    u_max: Array
 
-    @property
-    def nominal(self):
-        """The rig as the law believes it to be."""
-        return self.law.nominal
+    def init(self, measured: Measured, F_d: Array) -> Any:
+        """As the controller's."""
+        return self.law.init(measured, F_d)
 
     def step(
-        self, memory: Memory, seen: Measured, F_d: Array, h: Array
-    ) -> tuple[Memory, Array, ControllerSignals]:
-        """As the law's."""
-        memory, u, thought = self.law.step(memory, seen, F_d, h)
-        return memory, u + self.push, thought
+        self, memory: Any, measured: Measured, F_d: Array, h: Array
+    ) -> tuple[Any, Array, dict[str, Array]]:
+        """As the controller's, but for the command."""
+        memory, u, signals = self.law.step(memory, measured, F_d, h)
+        return memory, u + self.push, signals
 
 
 class System(NamedTuple):
@@ -111,7 +111,9 @@ def _jacobian(
         one = operating_point.scenario(
             setting, (setting.F_0 + i[0])[None], noise[None], jnp.zeros(1)
         )
-        tapped = eqx.tree_at(lambda lo: lo.law, loop, Tapped(loop.law, i[1]))
+        tapped = eqx.tree_at(
+            lambda lo: lo.law, loop, Tapped(loop.law, i[1], loop.law.u_max)
+        )
         state = unravel(flat.at[index].add(off[group]))
         new, now = step(tapped, state, operating_point.at(one, 0))
         return ravel_pytree(new)[0][lead], jnp.stack([now["true_F"], now["u"]])

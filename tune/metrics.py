@@ -120,7 +120,9 @@ def rms(hertz: Float[Array, "lines"], H: Complex[Array, "lines"]) -> Float[Array
     """RMS of white noise of one sample's variance 1 behind H, up to half the rate."""
     power = jnp.abs(H) ** 2
     area = jnp.sum((power[1:] + power[:-1]) / 2 * jnp.diff(hertz))
-    return jnp.sqrt((area + power[0] * hertz[0]) / hertz[-1])
+    mean = (area + power[0] * hertz[0]) / hertz[-1]
+    # A noise that the controller does not read has no derivative, not an infinite one.
+    return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), 0.0)
 
 
 def loop_metrics(

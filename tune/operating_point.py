@@ -21,7 +21,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hydrojax.control.adaptive import Estimates, truth, within
+from hydrojax.control.adaptive import Estimates, Law, truth
+from hydrojax.control.base import within
 from hydrojax.control.loop import Loop, Scenario, begin, step
 from hydrojax.control.simulation import PARTS
 from hydrojax.plant.load import Driven, EnvironmentMotion
@@ -43,8 +44,8 @@ SLOW = 60.0
 
 
 def estimates(loop: Loop, adapted: bool = True) -> Estimates:
-    """Where the nine estimates stand, SI."""
-    law = loop.law
+    """Where the nine estimates of the paper's law stand, SI."""
+    law = _adaptive(loop)
 
     def one(true, lower, upper, rate):
         middle = (lower + upper) / 2
@@ -56,7 +57,9 @@ def estimates(loop: Loop, adapted: bool = True) -> Estimates:
 
 
 def frozen(loop: Loop) -> Loop:
-    """The loop with its adaptation stopped."""
+    """The loop with its adaptation stopped; a controller without one as it is."""
+    if not isinstance(loop.law, Law):
+        return loop
     zero = jax.tree.map(jnp.zeros_like, loop.law.rate)
     return eqx.tree_at(lambda lo: lo.law.rate, loop, zero)
 
@@ -110,9 +113,21 @@ def still(settings: Setting) -> bool:
 
 
 def _slow(loop: Loop) -> Loop:
-    """The loop that settles: its adaptation stopped, its gains its own."""
+    """The loop that settles: its adaptation stopped, its gains its own.
+
+    Another controller than the paper's law settles with the gains it has.
+    """
+    if not isinstance(loop.law, Law):
+        return loop
     slow = SLOW / loop.rig.chambers.beta / 2
     return eqx.tree_at(lambda lo: (lo.law.k_p, lo.law.k_f), frozen(loop), (slow, slow))
+
+
+def _adaptive(loop: Loop) -> Law:
+    """The loop's controller, which is the paper's law."""
+    if not isinstance(loop.law, Law):
+        raise TypeError(f"invalid controller {type(loop.law).__name__}: expected Law")
+    return loop.law
 
 
 def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
@@ -123,33 +138,44 @@ def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
         adapted: whether the adapted estimates stand at the plant's values.
         settle: samples in which a slow loop settles; 0 at rest, see `still`.
     """
-    loop = setting.loop
     n = max(settle, 1)
-    t = (jnp.arange(n) - settle) * loop.h
+    t = (jnp.arange(n) - settle) * setting.loop.h
     given = scenario(setting, jnp.broadcast_to(setting.F_0, (n,)), jnp.zeros((n, 4)), t)
-    law = loop.law
-    loop = _slow(loop)
-    carry = begin(loop, given)
-    believed = estimates(setting.loop, adapted)
-    P_d = law.desired(believed, carry.law.z, carry.law.v, carry.law.speed, given.F_d[0])
-    memory = carry.law._replace(estimates=believed, P_d=P_d[0])
+    carry = begin(_slow(setting.loop), given)
     # The environment may be moving from the first sample on.
-    memory = memory._replace(v=setting.v, speed=jnp.abs(setting.v))
     plant = carry.plant._replace(
         speed=carry.plant.speed + jnp.abs(setting.v),
         motion=carry.plant.motion._replace(v=setting.v),
     )
-    carry = carry._replace(law=memory, plant=plant)
+    carry = carry._replace(plant=plant)
+    if not isinstance(setting.loop.law, Law):
+        return _settled(setting, carry, given) if settle else carry
+    believed = estimates(setting.loop, adapted)
+    memory = _matched(setting, carry.law, believed, given.F_d[0])
+    memory = memory._replace(v=setting.v, speed=jnp.abs(setting.v))
+    carry = carry._replace(law=memory)
     if not settle:
         return carry
+    carry = _settled(setting, carry, given)
+    memory = _matched(setting, carry.law, believed, setting.F_0)
+    return carry._replace(law=memory._replace(P_d_rate=jnp.zeros_like(memory.P_d)))
+
+
+def _matched(setting: Setting, memory: Any, believed: Estimates, F_d: Array) -> Any:
+    """The law's memory with other estimates, and the P_d that they make."""
+    P_d = _adaptive(setting.loop).desired(
+        believed, memory.z, memory.v, memory.speed, F_d
+    )[0]
+    return memory._replace(estimates=believed, P_d=P_d)
+
+
+def _settled(setting: Setting, carry: Any, given: Scenario) -> Any:
+    """Where the slow loop stands after the samples of `given`."""
+    loop = _slow(setting.loop)
 
     def body(state, tick):
         c, off = state
         c = step(loop, c, tick._replace(F_d=tick.F_d + off))[0]
         return (c, off + loop.h * LEVEL * (setting.F_0 - c.F)), None
 
-    carry, _ = jax.lax.scan(body, (carry, jnp.zeros_like(setting.F_0)), given)[0]
-    memory = carry.law
-    P_d = law.desired(believed, memory.z, memory.v, memory.speed, setting.F_0)[0]
-    memory = memory._replace(P_d=P_d, P_d_rate=jnp.zeros_like(P_d))
-    return carry._replace(law=memory)
+    return jax.lax.scan(body, (carry, jnp.zeros_like(setting.F_0)), given)[0][0]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize
 
+from hydrojax.control.adaptive import Law
 from hydrojax.tune.objective import CONSTRAINTS, Limits, Objective
 
 MAX_ITERATIONS = 40
@@ -89,7 +90,10 @@ def _floor(name: str) -> float:
 
 def _stable(objective: Objective, x: np.ndarray) -> np.ndarray:
     """`x` with its feedback lowered until the loop is stable."""
-    feedback = np.array([q.name in ("k_p", "k_f") for q in objective.free])
+    adaptive = isinstance(objective.setting.loop.law, Law)
+    feedback = np.array(
+        [not adaptive or q.name in ("k_p", "k_f") for q in objective.free]
+    )
     for _ in range(8):
         if objective.scores(x)[2]:
             break

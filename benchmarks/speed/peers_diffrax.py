@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hydrojax.control.adaptive import Measured
+from hydrojax.control.base import Measured
 from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.loop import begin as at_rest
 from hydrojax.control.simulation import PARTS

@@ -7,13 +7,20 @@ nominal valve gain once.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from hydrojax.control.base import (
+    AbstractController,
+    Gain,
+    Measured,
+    gain,
+    within,
+)
 from hydrojax.plant.friction import Theta
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.valve import metering_edges
@@ -42,14 +49,41 @@ class Estimates(NamedTuple):
         return Theta(*self[2:])
 
 
-class Measured(NamedTuple):
-    """What the law reads at one sample: Pa, N, m."""
+def _table(
+    *rows: tuple[str, str, str, str, bool],
+) -> dict[str, Gain]:
+    """Declarations of values that are kept in an `Estimates`."""
+    return {
+        name: Gain(unit, 0.0, -math.inf, math.inf, text, written=written, volts=volts)
+        for name, unit, written, text, volts in rows
+    }
 
-    P_a1: Array
-    P_a2: Array
-    P_s: Array
-    F: Array
-    x: Array
+
+RATES = _table(
+    ("rho_1", "m^2/N^3", "V*s/kN^3", "rate of adapting k_1", True),
+    ("rho_a", "m^2/N", "V*s/kN", "rate of adapting A_a", True),
+    ("c_1", "1/s", "1/s", "rate of adapting k_cp", False),
+    ("c_2", "1/s", "1/s", "rate of adapting k_cn", False),
+    ("c_3", "1/s", "1/s", "rate of adapting k_0", False),
+    ("c_4", "s/m^2", "s/m^2", "rate of adapting k_vp", False),
+    ("c_5", "s/m^2", "s/m^2", "rate of adapting k_vn", False),
+    ("c_6", "1/(s*N^2)", "1/(s*kN^2)", "rate of adapting k_fp", False),
+    ("c_7", "1/(s*N^2)", "1/(s*kN^2)", "rate of adapting k_fn", False),
+)
+"""The rates of adaptation, by the paper's names, in the order of `Estimates`."""
+
+ESTIMATES = _table(
+    ("k_1", "1/Pa", "V*s/kN", "1/beta as the law has it", True),
+    ("A_a", "m^2", "V*s", "area as the law has it", True),
+    ("k_cp", "N", "kN", "Coulomb level, v > 0", False),
+    ("k_cn", "N", "kN", "Coulomb level, v < 0", False),
+    ("k_0", "N", "kN", "constant offset", False),
+    ("k_vp", "N*s/m", "kN*s/m", "fall with speed, v > 0", False),
+    ("k_vn", "N*s/m", "kN*s/m", "fall with speed, v < 0", False),
+    ("k_fp", "1", "1", "presliding, F > 0", False),
+    ("k_fn", "1", "1", "presliding, F < 0", False),
+)
+"""The estimates, by the paper's names, in the order of `Estimates`."""
 
 
 class Memory(NamedTuple):
@@ -75,7 +109,7 @@ class ControllerSignals(NamedTuple):
     virtual: Array
 
 
-class Law(eqx.Module):
+class Law(AbstractController):
     """The controller: gains, adaptation, and the rig as it is believed to be.
 
     An estimate starts midway between its bounds. It is adapted where its rate is
@@ -95,33 +129,46 @@ class Law(eqx.Module):
     """
 
     nominal: Rig
-    k_p: Array
-    k_f: Array
     rate: Estimates
     lower: Estimates
     upper: Estimates
     P_r: Array
-    u_max: Array
-    tau_d: Array
-    tau_v: Array
+    k_p: Array = gain(
+        "m^2/(s*N)", 1.4e-7, 0.0, 1e-4, "gain on the pressure error",
+        written="V/kN", volts=True,
+    )  # fmt: skip
+    k_f: Array = gain(
+        "m^2/(s*N)", 2.8e-7, 0.0, 1e-4, "gain on the force error",
+        written="V/kN", volts=True,
+    )  # fmt: skip
+    u_max: Array = gain("{u}", 10.0, 0.0, 100.0, "where the command saturates")
+    tau_d: Array = gain("s", 0.0, 0.0, 1.0, "time constant of the rate of P_d")
+    tau_v: Array = gain(
+        "s", 0.0, 0.0, 1.0, "time constant of the velocity from the position"
+    )
 
-    def init(self, seen: Measured, F_d: Array) -> Memory:
+    def init(self, measured: Measured, F_d: Array) -> Memory:
         """At rest, at the first sample."""
         middle = jax.tree.map(lambda a, b: (a + b) / 2, self.lower, self.upper)
-        estimates = Estimates(*(jnp.broadcast_to(m, jnp.shape(seen.x)) for m in middle))
-        zero = jnp.zeros_like(seen.x)
+        estimates = Estimates(
+            *(jnp.broadcast_to(m, jnp.shape(measured.x)) for m in middle)
+        )
+        zero = jnp.zeros_like(measured.x)
         P_d = self.desired(estimates, zero, zero, zero, F_d)[0]
-        return Memory(estimates, seen.x, zero, zero, zero, P_d, zero)
+        return Memory(estimates, measured.x, zero, zero, zero, P_d, zero)
 
     def step(
-        self, memory: Memory, seen: Measured, F_d: Array, h: Array
-    ) -> tuple[Memory, Array, ControllerSignals]:
+        self, memory: Memory, measured: Measured, F_d: Array, h: Array
+    ) -> tuple[Memory, Array, dict[str, Array]]:
         """One sample: new memory, the command u* (V or 1), and what led to it.
+
+        Recorded are the fields of `ControllerSignals`, the nine estimates that made the
+        command, and L, the switch L(t) of (22).
 
         The estimates of this sample make the command; what it teaches them holds from
         the next on.
         """
-        dx = seen.x - memory.x
+        dx = measured.x - memory.x
         v = (self.tau_v * memory.v + dx) / (self.tau_v + h)
         friction = self.nominal.mechanics
         keep, add = friction.bristle_map(dx)
@@ -132,19 +179,19 @@ class Law(eqx.Module):
         P_d, row = self.desired(memory.estimates, z, v, speed, F_d)
         gone = self.tau_d * memory.P_d_rate + P_d - memory.P_d
         P_d_rate = gone / (self.tau_d + h)
-        P = self.nominal.drive_force(seen.P_a1, seen.P_a2)
-        swept = self.chi(seen.x) * v
+        P = self.nominal.drive_force(measured.P_a1, measured.P_a2)
+        swept = self.chi(measured.x) * v
         k_1, A_a = memory.estimates[:2]
         virtual = (
             k_1 * P_d_rate
             + A_a * swept
             + self.k_p * (P_d - P)
-            + self.k_f * (F_d - seen.F)
+            + self.k_f * (F_d - measured.F)
         )
         lead = Estimates(
             (P_d - P) * P_d_rate,
             (P_d - P) * swept,
-            *((F_d - seen.F) * y for y in row),
+            *((F_d - measured.F) * y for y in row),
         )
         estimates = Estimates(
             *(
@@ -155,9 +202,13 @@ class Law(eqx.Module):
                 )
             )
         )  # fmt: skip
-        memory = Memory(estimates, seen.x, v, z, speed, P_d, P_d_rate)
-        thought = ControllerSignals(P, P_d, P_d_rate, v, swept, virtual)
-        return memory, self.command(virtual, seen), thought
+        signals = {
+            **ControllerSignals(P, P_d, P_d_rate, v, swept, virtual)._asdict(),
+            **memory.estimates._asdict(),
+            "L": friction.switch(speed),
+        }
+        memory = Memory(estimates, measured.x, v, z, speed, P_d, P_d_rate)
+        return memory, self.command(virtual, measured), signals
 
     def desired(
         self, estimates: Estimates, z: Array, v: Array, speed: Array, F_d: Array
@@ -179,19 +230,19 @@ class Law(eqx.Module):
         mean = mean_area(self.nominal)
         return (w_1 * areas[0] / x_1 + w_2 * areas[1] / x_2) / mean
 
-    def command(self, virtual: Array, seen: Measured) -> Array:
+    def command(self, virtual: Array, measured: Measured) -> Array:
         """u* from u by (18), saturated."""
-        x_1, x_2 = self.nominal.chambers.lengths(seen.x)
+        x_1, x_2 = self.nominal.chambers.lengths(measured.x)
         w_1, w_2 = self._pushing()
 
         def root(drop):
             return jnp.sqrt(jnp.maximum(drop, LEAST_DROP))
 
         c = metering_edges(self.nominal.valve)
-        up = w_1 * c.c_p1 * root(seen.P_s - seen.P_a1) / x_1
-        up = up + w_2 * c.c_n2 * root(seen.P_a2 - self.P_r) / x_2
-        down = w_1 * c.c_n1 * root(seen.P_a1 - self.P_r) / x_1
-        down = down + w_2 * c.c_p2 * root(seen.P_s - seen.P_a2) / x_2
+        up = w_1 * c.c_p1 * root(measured.P_s - measured.P_a1) / x_1
+        up = up + w_2 * c.c_n2 * root(measured.P_a2 - self.P_r) / x_2
+        down = w_1 * c.c_n1 * root(measured.P_a1 - self.P_r) / x_1
+        down = down + w_2 * c.c_p2 * root(measured.P_s - measured.P_a2) / x_2
         u = -virtual / jnp.where(virtual < 0, up, down)
         return within(u, -self.u_max, self.u_max)
 
@@ -215,16 +266,6 @@ def truth(rig: Rig) -> Estimates:
     """What the nine estimates are estimates of, SI: the plant's own values."""
     friction = (getattr(rig.mechanics, name) for name in Theta._fields)
     return Estimates(1 / rig.chambers.beta, mean_area(rig), *friction)
-
-
-def within(value: Array, lower: Array, upper: Array) -> Array:
-    """`value` held in [lower, upper], with the whole derivative of the end it is at.
-
-    A clip would share the derivative in two where value and end are equal, which is
-    where an estimate on its bound stands.
-    """
-    value = jnp.where(value >= upper, upper, value)
-    return jnp.where(value <= lower, lower, value)
 
 
 def project(

@@ -7,14 +7,14 @@ effect of the rig, a spool its `valve_lag`.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hydrojax.control.adaptive import Law, Measured, Memory
+from hydrojax.control.base import Measured
 from hydrojax.plant import step as plant_step
 from hydrojax.plant.load import AbstractLoad, EnvironmentMotion
 from hydrojax.plant.rig import Rig
@@ -71,13 +71,14 @@ class Scenario(NamedTuple):
 
 
 class Loop(eqx.Module):
-    """A rig, the law that commands it, its load and its sensors.
+    """A rig, the controller that commands it, its load and its sensors.
 
-    `h` is the control period, s; `P_start` the pressure of chamber 1 at the start, Pa.
+    `law` is an `AbstractController`, by default the paper's; `h` is the control period,
+    s; `P_start` the pressure of chamber 1 at the start, Pa.
     """
 
     rig: Rig
-    law: Law
+    law: Any  # an AbstractController; typed so that its own gains can be reached
     load: AbstractLoad
     sensors: Sensors
     h: Array
@@ -86,21 +87,10 @@ class Loop(eqx.Module):
 
 class _Carry(NamedTuple):
     plant: State
-    law: Memory
+    law: Any
     gauges: tuple[Array, Array]  # what the pressure sensors say, before noise
     cell: Array  # what the load cell says, before noise
     F: Array
-
-
-SIGNALS = (
-    "u", "x", "P_a1", "P_a2", "P_s", "F",  # as logged
-    "true_x", "true_v", "true_P_a1", "true_P_a2", "true_F",
-    "P", "P_d", "P_d_rate", "v", "swept", "virtual",  # the law's
-    "k_1", "A_a", "k_cp", "k_cn", "k_0", "k_vp", "k_vn", "k_fp", "k_fn",
-    "L",
-)  # fmt: skip
-"""What a run can give at each sample, SI: readings and command, the truth behind them,
-what the law made of it, the estimates that made the command, and its switch L(t)."""
 
 
 def _inputs(loop: Loop, row: Scenario, u: Array) -> StepInput:
@@ -140,14 +130,22 @@ def begin(loop: Loop, scenario: Scenario) -> _Carry:
 def step(loop: Loop, carry: _Carry, row: Scenario) -> tuple[_Carry, dict[str, Array]]:
     """One sample: sense, decide, act until the next.
 
-    `row` is one row of a scenario.
+    Args:
+        loop: what is run.
+        carry: as `begin` or the sample before left it.
+        row: one row of a scenario.
+
+    Returns:
+        What the next sample begins with, and scalars by name, SI: the readings and the
+        command as logged (`x P_a1 P_a2 P_s F u`), the truth behind them (`true_x true_v
+        true_P_a1 true_P_a2 true_F`), and what the controller records.
     """
     motion = carry.plant.motion
     truth = Measured(*carry.gauges, row.P_s[0], carry.cell, motion.x)
     seen = loop.sensors.read(truth, row.noise)
-    before = carry.law.estimates
     law, u, made = loop.law.step(carry.law, seen, row.F_d, loop.h)
     now = {
+        **made,
         "u": u,
         **seen._asdict(),
         "true_x": motion.x,
@@ -155,9 +153,6 @@ def step(loop: Loop, carry: _Carry, row: Scenario) -> tuple[_Carry, dict[str, Ar
         "true_P_a1": carry.plant.P[0],
         "true_P_a2": carry.plant.P[1],
         "true_F": carry.F,
-        **made._asdict(),
-        **before._asdict(),
-        "L": loop.law.nominal.mechanics.switch(law.speed),
     }
     inputs = _inputs(loop, row, u)
     plant, read = plant_step.step(loop.rig, carry.plant, inputs, loop.load)
@@ -165,7 +160,17 @@ def step(loop: Loop, carry: _Carry, row: Scenario) -> tuple[_Carry, dict[str, Ar
     return _Carry(plant, law, gauges, read["F"], read["true_F"]), now
 
 
-def run(loop: Loop, scenario: Scenario, keep: tuple[str, ...] = SIGNALS) -> Array:
+def signal_names(loop: Loop, scenario: Scenario) -> tuple[str, ...]:
+    """What a run can give at each sample: see `step`."""
+
+    def one(loop: Loop, scenario: Scenario) -> dict[str, Array]:
+        tick = jax.tree.map(lambda a: a[0], scenario)
+        return step(loop, begin(loop, scenario), tick)[1]
+
+    return tuple(eqx.filter_eval_shape(one, loop, scenario))
+
+
+def run(loop: Loop, scenario: Scenario, keep: tuple[str, ...]) -> Array:
     """The signals `keep` at every sample, [N, len(keep)], SI; to be jitted or vmapped.
 
     One array comes out of the scan, since several of one shape are copied whole at

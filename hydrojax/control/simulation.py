@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from hydrojax.control.loop import SIGNALS, Loop, Scenario, run
+from hydrojax.control.loop import Loop, Scenario, run, signal_names
 from hydrojax.jax_setup import bucket
 from hydrojax.plant.load import EnvironmentMotion
 
@@ -81,8 +81,9 @@ def simulate(loop: Loop, scenario: Scenario) -> Run:
     n = len(scenario.t)
     longer = np.minimum(np.arange(bucket(n)), n - 1)
     held = jax.tree.map(lambda a: np.asarray(a)[longer], scenario)
-    table = np.asarray(_run(loop, held))[:n]
-    signals: dict[str, np.ndarray] = dict(zip(SIGNALS, table.T, strict=True))
+    names = signal_names(loop, held)
+    table = np.asarray(_run(loop, held, names))[:n]
+    signals: dict[str, np.ndarray] = dict(zip(names, table.T, strict=True))
     supply, back = np.asarray(scenario.P_s[:, 0]), np.asarray(scenario.P_r[:, 0])
     open_1 = not float(loop.rig.force_area_1)  # an open chamber holds no pressure
     leaves = tuple(

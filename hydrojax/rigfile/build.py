@@ -18,11 +18,13 @@ from hydrojax.plant.named import get, put
 from hydrojax.plant.rig import Rig, add, bare_rig
 from hydrojax.rigfile.controller import (
     ENCODER,
+    LOOP_KEYS,
     Values,
     control_period,
     file_keys,
     make_law,
     read_keys,
+    with_gains,
 )
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.rigfile.vocabulary import LANDS
@@ -112,9 +114,10 @@ def build_loop(
 
     Args:
         file: the rig.
-        rig: the plant, if it is another than `build_rig(file)`; the law knows the
-            file's without effects.
-        gains: keys of [controller] that replace the file's.
+        rig: the plant, if it is another than `build_rig(file)`; the paper's law knows
+            the file's without effects.
+        gains: keys of [controller] that replace the file's; for a controller in
+            `file.law`, names of its gains.
         where: what opens an error line about `gains`.
 
     Raises:
@@ -126,13 +129,23 @@ def build_loop(
             "loop with; give the rig's areas and another layout"
         )
     nominal = build_rig(replace(file, effects={}))
-    keys = file_keys(file) | read_keys(where, gains or {}, file)
+    keys = file_keys(file)
+    gains = dict(gains or {})
+    law = file.law
+    if law is None:
+        keys |= read_keys(where, gains, file)
+        law = make_law(keys, nominal, file, file.line["P_r"])
+    else:
+        keys |= read_keys(
+            where, {k: gains.pop(k) for k in LOOP_KEYS & set(gains)}, file
+        )
+        law = with_gains(law, gains, file, where)
     rig = build_rig(file) if rig is None else rig
     h = control_period(keys)
     _check_delay(file, rig, h)
     return Loop(
         rig=rig,
-        law=make_law(keys, nominal, file, file.line["P_r"]),
+        law=law,
         load=_load(file),
         sensors=_sensors(keys, file),
         h=_array(h),

@@ -6,15 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hydrojax import units
-from hydrojax.control.adaptive import Estimates, Law, mean_area
+from hydrojax.control.adaptive import ESTIMATES, RATES, Estimates, Law, mean_area
+from hydrojax.control.base import AbstractController
 from hydrojax.errors import InputError
+from hydrojax.parameters import Spec, specs
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.sections import check_known
 
 ENCODER = 2 * np.pi / 2**23
 """The paper's absolute encoder of 23 bits: one step, rad."""
@@ -26,7 +30,7 @@ class Key:
 
     Attributes:
         unit: the paper's, in which a bare number is taken.
-        says: one phrase.
+        description: one phrase.
         volts: whether the law's volts are in it, so that the nominal valve gain turns
             it into SI.
         pair: whether it is an estimate, given as one value (both bounds) or as two.
@@ -38,35 +42,34 @@ class Key:
     pair: bool = False
 
 
+def _keys(declared: Mapping[str, Spec], pair: bool = False) -> dict[str, Key]:
+    """The keys of what a controller declares."""
+    return {
+        name: Key(
+            getattr(s, "written", "") or s.unit,
+            s.description,
+            getattr(s, "volts", False),
+            pair,
+        )
+        for name, s in declared.items()
+    }
+
+
+_GAINS = _keys(specs(Law))
+
 KEYS: Mapping[str, Key] = {
     "rate": Key("Hz", "sampling rate"),
     "kappa": Key("m^2/(s*V)", "nominal valve gain: virtual input per volt of the law"),
-    "k_p": Key("V/kN", "gain on the pressure error", volts=True),
-    "k_f": Key("V/kN", "gain on the force error", volts=True),
-    "rho_1": Key("V*s/kN^3", "rate of adapting k_1", volts=True),
-    "rho_a": Key("V*s/kN", "rate of adapting A_a", volts=True),
-    "c_1": Key("1/s", "rate of adapting k_cp"),
-    "c_2": Key("1/s", "rate of adapting k_cn"),
-    "c_3": Key("1/s", "rate of adapting k_0"),
-    "c_4": Key("s/m^2", "rate of adapting k_vp"),
-    "c_5": Key("s/m^2", "rate of adapting k_vn"),
-    "c_6": Key("1/(s*kN^2)", "rate of adapting k_fp"),
-    "c_7": Key("1/(s*kN^2)", "rate of adapting k_fn"),
-    "k_1": Key("V*s/kN", "1/beta as the law has it", volts=True, pair=True),
-    "A_a": Key("V*s", "area as the law has it", volts=True, pair=True),
-    "k_cp": Key("kN", "Coulomb level, v > 0", pair=True),
-    "k_cn": Key("kN", "Coulomb level, v < 0", pair=True),
-    "k_0": Key("kN", "constant offset", pair=True),
-    "k_vp": Key("kN*s/m", "fall with speed, v > 0", pair=True),
-    "k_vn": Key("kN*s/m", "fall with speed, v < 0", pair=True),
-    "k_fp": Key("1", "presliding, F > 0", pair=True),
-    "k_fn": Key("1", "presliding, F < 0", pair=True),
-    "u_max": Key("{u}", "where the command saturates"),
-    "tau_d": Key("s", "time constant of the rate of P_d"),
-    "tau_v": Key("s", "time constant of the velocity from the position"),
+    **{name: _GAINS[name] for name in ("k_p", "k_f")},
+    **_keys(RATES),
+    **_keys(ESTIMATES, pair=True),
+    **{name: _GAINS[name] for name in ("u_max", "tau_d", "tau_v")},
     "resolution": Key("rad", "step of the position sensor"),
 }
 """What a rig file may say of its controller, by the paper's names."""
+
+LOOP_KEYS = {"rate", "resolution"}
+"""Keys that belong to the loop and its sensors, whatever controls it."""
 
 PAPER: Mapping[str, float] = {
     "rate": 1000.0, "k_p": 1.2, "k_f": 2.4,
@@ -81,8 +84,6 @@ PAPER: Mapping[str, float] = {
 VOLT_SECONDS_PER_KILONEWTON = 0.01
 """The paper's k_1. A rig's nominal valve gain is by default such that this is 1/beta:
 the paper's gains then make a loop of 360 rad/s on any rig."""
-
-_RATES = ("rho_1", "rho_a", "c_1", "c_2", "c_3", "c_4", "c_5", "c_6", "c_7")
 
 
 Values = dict[str, tuple[float, float]]
@@ -131,6 +132,31 @@ def file_keys(spec: RigFile) -> Values:
         InputError: a key, unit or value that will not do.
     """
     return read_keys(f"{spec.path}: [controller]", spec.controller, spec)
+
+
+def with_gains(
+    law: AbstractController, gains: Mapping[str, object], spec: RigFile, where: str
+) -> AbstractController:
+    """A controller with other gains.
+
+    Args:
+        law: declares the gains.
+        gains: by name; a quantity, or a number in the declared unit.
+        spec: the rig file, for the unit of the command.
+        where: opens an error's line.
+
+    Raises:
+        InputError: an unknown gain, or an invalid quantity.
+    """
+    declared = specs(law)
+    check_known(where, gains, declared, "gain")
+    for name, value in gains.items():
+        unit = units.with_command(declared[name].unit, spec.command_unit)
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            value = f"{value} {unit}"
+        new = _array(units.quantity(value, unit, f"{where} {name}"))
+        law = eqx.tree_at(lambda c, name=name: getattr(c, name), law, new)
+    return law
 
 
 def key_unit(name: str, spec: RigFile) -> str:
@@ -211,7 +237,7 @@ def make_law(keys: Values, nominal: Rig, spec: RigFile, P_r: float) -> Law:
         nominal=nominal,
         k_p=value("k_p"),
         k_f=value("k_f"),
-        rate=Estimates(*(value(name) for name in _RATES)),
+        rate=Estimates(*(value(name) for name in RATES)),
         lower=Estimates(*(_array(bounds[n][0]) for n in Estimates._fields)),
         upper=Estimates(*(_array(bounds[n][1]) for n in Estimates._fields)),
         P_r=_array(P_r),

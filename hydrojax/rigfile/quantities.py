@@ -12,7 +12,7 @@ asked for about it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from hydrojax import units
-from hydrojax.control.adaptive import Estimates
+from hydrojax.control.adaptive import RATES, Estimates, Law
 from hydrojax.control.loop import Loop
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
@@ -29,20 +29,11 @@ from hydrojax.parameters import specs
 from hydrojax.plant.load import Inertia
 from hydrojax.plant.named import get, parameter_specs, put
 from hydrojax.rigfile.build import build_loop, build_rig
-from hydrojax.rigfile.controller import KEYS, si
+from hydrojax.rigfile.controller import KEYS, file_keys, si, valve_gain
 from hydrojax.rigfile.schema import RigFile
 
 AMPLITUDE = 100.0
 """Of the force that is asked for, N, where nothing else is said."""
-
-RATES = dict(
-    zip(
-        ("rho_1", "rho_a", "c_1", "c_2", "c_3", "c_4", "c_5", "c_6", "c_7"),
-        Estimates._fields,
-        strict=True,
-    )
-)
-"""The paper's name of each rate of adaptation, and the estimate it adapts."""
 
 
 class Setting(eqx.Module):
@@ -82,6 +73,7 @@ class Quantity:
         positive: whether a value must be above 0.
         reach: where it is stored, in one place or more of the same value.
         parameter: its name among the plant's parameters, if it is one.
+        gain: whether it is a gain of the controller, which can be tuned.
     """
 
     name: str
@@ -92,6 +84,7 @@ class Quantity:
     positive: bool = False
     reach: Reach | None = None
     parameter: str = ""
+    gain: bool = False
 
     def get(self, setting: Setting) -> Array:
         """Its value in `unit`: of two bounds, their middle."""
@@ -175,11 +168,6 @@ def find(known: Mapping[str, Quantity], name: str, where: str) -> Quantity:
     raise InputError(f"{where}: unknown quantity {name!r}; {mend}")
 
 
-def kappa(spec: RigFile) -> float:
-    """The nominal valve gain that turns the law's volts into SI, m^2/(s V)."""
-    return 1e3 * float(build_loop(spec, None, {"k_p": 1.0}).law.k_p)
-
-
 def _point() -> list[Quantity]:
     said = {
         "x": ("m", "place of the piston", "x"),
@@ -227,38 +215,73 @@ def _plant(spec: RigFile, setting: Setting) -> list[Quantity]:
 
 
 def _controller(spec: RigFile, setting: Setting) -> list[Quantity]:
-    volts = kappa(spec)
+    """The gains of the setting's controller, and the sampling rate.
+
+    A controller of a user's own has those that it declares, under the names of its
+    fields; `controller.NAME` where the plant has a parameter of that name.
+    """
+    law = setting.loop.law
+    own = _adaptive(spec) if isinstance(law, Law) else _declared(spec, setting)
+    rate = Quantity(
+        "rate", "Hz", KEYS["rate"].description, reciprocal=True, positive=True,
+        reach=lambda s: [s.loop.h],
+    )  # fmt: skip
+    return [*own, rate]
+
+
+def declared_gains(setting: Setting) -> dict[str, str]:
+    """The fields that the controller declares, by the names they have in a setting."""
+    taken = {q.name for q in _point()} | set(parameter_specs(setting.loop.rig))
+    taken.add("rate")
+    return {
+        f"controller.{field}" if field in taken else field: field
+        for field in specs(setting.loop.law)
+    }
+
+
+def _declared(spec: RigFile, setting: Setting) -> list[Quantity]:
+    known = specs(setting.loop.law)
+    return [
+        Quantity(
+            name,
+            units.with_command(known[field].unit, spec.command_unit),
+            known[field].description,
+            reach=lambda s, field=field: [getattr(s.loop.law, field)],
+            gain=True,
+        )
+        for name, field in declared_gains(setting).items()
+    ]
+
+
+def _adaptive(spec: RigFile) -> list[Quantity]:
+    """The gains, rates and bounds of the paper's law."""
+    volts = valve_gain(file_keys(spec), build_rig(replace(spec, effects={})))
     out = []
 
-    def add(name: str, key: str, reach: Reach, **more: Any) -> None:
+    def add(name: str, key: str, reach: Reach) -> None:
         k = KEYS[key]
         unit = units.with_command(k.unit, spec.command_unit)
         factor = units.to_si(1.0, unit, si(unit), name) * (volts if k.volts else 1.0)
-        out.append(Quantity(name, unit, k.description, factor, reach=reach, **more))
+        q = Quantity(name, unit, k.description, factor, reach=reach, gain=True)
+        out.append(q)
 
-    for name in ("k_p", "k_f", "u_max", "tau_d", "tau_v"):
+    for name in specs(Law):
         add(name, name, lambda s, name=name: [getattr(s.loop.law, name)])
-    for name, estimate in RATES.items():
+    for name, estimate in zip(RATES, Estimates._fields, strict=True):
         add(name, name, lambda s, e=estimate: [getattr(s.loop.law.rate, e)])
     for name in Estimates._fields:
-
-        def both(s, name=name):
-            return [getattr(s.loop.law.lower, name), getattr(s.loop.law.upper, name)]
-
-        add(
-            f"{name}_lower",
-            name,
-            lambda s, name=name: [getattr(s.loop.law.lower, name)],
-        )
-        add(
-            f"{name}_upper",
-            name,
-            lambda s, name=name: [getattr(s.loop.law.upper, name)],
-        )
-        add(f"{name}_hat", name, both)
+        ends = {
+            "_lower": lambda s, name=name: [getattr(s.loop.law.lower, name)],
+            "_upper": lambda s, name=name: [getattr(s.loop.law.upper, name)],
+            "_hat": lambda s, name=name: [
+                getattr(s.loop.law.lower, name),
+                getattr(s.loop.law.upper, name),
+            ],
+        }
+        for end, reach in ends.items():
+            add(name + end, name, reach)
         if name in ("k_1", "A_a"):
-            add(name, name, both)
-    add("rate", "rate", lambda s: [s.loop.h], reciprocal=True, positive=True)
+            add(name, name, ends["_hat"])
     return out
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hydrojax import units
+from hydrojax.control.base import AbstractController
 from hydrojax.errors import InputError
 from hydrojax.logs.log import SIGNALS, Channel
 from hydrojax.parameters import Spec
@@ -45,6 +46,8 @@ class RigFile:
         parameters: the base model's, by name.
         effects: those declared, with the parameters given, by name.
         controller: as written; `hydrojax.rigfile.controller` reads it.
+        law: a controller in place of the paper's law, with gains of its own; of
+            [controller] its loop has the rate and the resolution.
         command_unit: the valve command's, "V" or "1", as the constants imply; "V" if
             none is given.
         path: the file; what opens the line of an error.
@@ -63,6 +66,7 @@ class RigFile:
     controller: dict[str, ControllerValue]
     command_unit: str
     path: str
+    law: AbstractController | None = None
     text: str = field(default="", repr=False, compare=False)
 
     @classmethod

@@ -1,5 +1,7 @@
 """A rig file with new values: what changed, what stayed, and that it reads back."""
 
+from typing import Any
+
 import pytest
 
 from hydrojax.errors import InputError
@@ -86,7 +88,7 @@ def test_a_profile_keeps_the_travel_that_it_was_laid_over(spec, tmp_path):
     new = reread(tmp_path, text)
     for travel in ((-0.012, 0.031), (-0.05, 0.05)):
         file = over_travel(new, travel)
-        effect = effects_of(added, file)["position_friction"]
+        effect: Any = effects_of(added, file)["position_friction"]
         assert float(effect.x_from) == pytest.approx(-0.012)
         assert float(effect.x_to) == pytest.approx(0.031)
     # What the file says stays, and no other effect asks for it.

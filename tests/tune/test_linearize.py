@@ -277,7 +277,7 @@ def test_slope_of_the_bandwidth_is_its_difference(setting, known, states):
 def test_a_free_mass_loses_the_band_near_18_hz():
     from dataclasses import replace
 
-    spec = replace(SPEC, load={"mass": 150.0, "stiffness": 2e6, "damping": 2e3})
+    spec = replace(SPEC, output_load={"mass": 150.0, "stiffness": 2e6, "damping": 2e3})
     s = open_setting(spec)
     found = program(lambda s: linearize.system(s, operating_point.start(s)))(s)
     H = np.abs(np.asarray(linearize.response(found, jnp.asarray(HERTZ)))[:, 0, 0])

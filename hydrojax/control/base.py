@@ -1,0 +1,110 @@
+"""What every controller is: a sampled law with declared gains."""
+
+# No postponed annotations here: Equinox must see that `u_max` is abstract.
+import abc
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hydrojax.parameters import Spec
+
+
+class Measured(NamedTuple):
+    """What a controller reads at one sample: Pa, N, m."""
+
+    P_a1: Float[Array, "*batch"]
+    P_a2: Float[Array, "*batch"]
+    P_s: Float[Array, "*batch"]
+    F: Float[Array, "*batch"]
+    x: Float[Array, "*batch"]
+
+
+@dataclass(frozen=True)
+class Gain(Spec):
+    """What is known of a controller's parameter; see `Spec`.
+
+    Attributes:
+        written: unit in which a rig file's [controller] takes a bare number; `unit` if
+            it is empty.
+        volts: whether `written` is per volt of the law, so that the nominal valve gain
+            turns it into `unit`.
+    """
+
+    written: str = ""
+    volts: bool = False
+
+
+def gain(
+    unit: str, default: float, lower: float, upper: float, description: str, **more: Any
+) -> Any:
+    """Declare an array field of a controller as a parameter; see `Gain`.
+
+    `hydrojax.parameters.param` does for a controller that no rig file describes.
+    """
+    return eqx.field(
+        default=default,
+        converter=lambda x: jnp.asarray(x, dtype=float),
+        metadata={"spec": Gain(unit, default, lower, upper, description, **more)},
+    )
+
+
+class AbstractController(eqx.Module):
+    """A force controller: it reads the sensors and sets the valve command.
+
+    A subclass declares its gains as fields with `param` (unit, default, range, meaning)
+    and is otherwise stateless: what it remembers from sample to sample is the pytree
+    `memory`. Simulation, sweeps and tuning know the gains by the names of the fields.
+    Positive commands fill chamber 1, which lowers the output force.
+
+    Attributes:
+        u_max: where the command saturates, V or 1; declare it with `param`.
+    """
+
+    u_max: eqx.AbstractVar[Array]
+
+    @abc.abstractmethod
+    def init(self, measured: Measured, F_d: Float[Array, ""]) -> Any:
+        """The memory at rest at the first sample.
+
+        Args:
+            measured: the first readings.
+            F_d: the desired force, N.
+        """
+
+    @abc.abstractmethod
+    def step(
+        self,
+        memory: Any,
+        measured: Measured,
+        F_d: Float[Array, ""],
+        h: Float[Array, ""],
+    ) -> tuple[Any, Float[Array, ""], dict[str, Array]]:
+        """One sample.
+
+        Args:
+            memory: of the sample before, or of `init`.
+            measured: the readings.
+            F_d: the desired force, N.
+            h: the control period, s.
+
+        Returns:
+            The new memory, of the same structure; the command (V or 1), held until the
+            next sample; and scalars by name to be recorded, which may be none.
+        """
+
+
+def within(
+    value: Float[Array, "*batch"],
+    lower: Float[Array, "*batch"],
+    upper: Float[Array, "*batch"],
+) -> Float[Array, "*batch"]:
+    """`value` held in [lower, upper], with the whole derivative of the end it is at.
+
+    A clip would share the derivative in two where value and end are equal, which is
+    where an estimate on its bound stands.
+    """
+    value = jnp.where(value >= upper, upper, value)
+    return jnp.where(value <= lower, lower, value)
