@@ -1,7 +1,11 @@
 """What `import hydrojax` offers; `__init__.py` loads each name when it is used."""
 
+from .api import fit as fit
+from .api import trace as trace
 from .control.simulation import simulate as simulate
 from .errors import InputError as InputError
+from .identify.result import Result as Result
+from .identify.tracing.criteria import Criteria as Criteria
 from .jax_setup import set_up_jax as set_up_jax
 from .logs.log import Log as Log
 from .rigfile.schema import RigFile as RigFile

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
 import numpy as np
+import pandas as pd
+from jaxtyping import Float
 
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
@@ -17,17 +19,71 @@ from hydrojax.identify.preparation.resolution import resolve
 from hydrojax.identify.preparation.segments import common_band
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import make_room
-from hydrojax.logs.log import Log, read_log
+from hydrojax.logs.log import Log
 from hydrojax.parameters import specs
 from hydrojax.rigfile.build import over_travel
 from hydrojax.rigfile.schema import RigFile
 
+RigSource = str | Path | RigFile
+"""A rig file by its path, or one that is read already."""
+
+LogSource = str | Path | Log | pd.DataFrame
+"""A log by its path, one that is read already, or a table; see `Log.from_frame`."""
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """How the logs of a case were made ready, so that others can be in the same way.
+
+    Attributes:
+        spec: the rig.
+        horizon: length of a replay window, s.
+        noise: [3] of the channels, SI; inf if not compared.
+        sign: -1.0 if the motion is turned round, else 1.0.
+        band: Hz up to which motion is differentiated.
+        criteria: the thresholds.
+        smoothed: takes the noise off what drives a log.
+    """
+
+    spec: RigFile
+    horizon: float
+    noise: Float[np.ndarray, "3"]
+    sign: float
+    band: float
+    criteria: Criteria
+    smoothed: Callable[[Log], Log] = lambda log: log
+
+    def data(self, logs: Sequence[Log]) -> Data:
+        """Logs that take no part in the fit, made ready.
+
+        Raises:
+            InputError: see `prepare`.
+        """
+        return prepare(
+            [self.smoothed(log) for log in logs],
+            self.spec,
+            self.horizon,
+            self.noise,
+            self.sign,
+            self.band,
+            self.criteria,
+        )
+
 
 @dataclass(frozen=True)
 class Case:
-    """A rig and its logs made ready: those that are fitted, and those that are not.
+    """A rig and its logs made ready.
 
-    Without validation logs the check is on the fitted ones, and `held_out` is False.
+    Attributes:
+        spec: the rig.
+        fit: the logs that are fitted, made ready.
+        check: the validation logs, made ready; the fitted ones where there are none.
+        fit_logs: the logs that are fitted.
+        check_logs: the validation logs, or the fitted ones.
+        held_out: whether there are validation logs.
+        preparation: how they were made ready.
+        test: logs that take part in no decision, made ready, if there are any.
+        test_logs: these logs.
     """
 
     spec: RigFile
@@ -36,17 +92,36 @@ class Case:
     fit_logs: tuple[Log, ...]
     check_logs: tuple[Log, ...]
     held_out: bool
-    criteria: Criteria = Criteria()
+    preparation: Preparation
+    test: Data | None = None
+    test_logs: tuple[Log, ...] = ()
+
+    @property
+    def criteria(self) -> Criteria:
+        """The thresholds by which it is decided."""
+        return self.preparation.criteria
 
 
 def open_case(
-    rig: str | Path,
-    logs: Sequence[str | Path],
-    validate: Sequence[str | Path] = (),
+    rig: RigSource,
+    logs: Sequence[LogSource],
+    validate: Sequence[LogSource] = (),
+    test: Sequence[LogSource] = (),
+    *,
     horizon: float = 0.25,
     criteria: Criteria = Criteria(),
 ) -> Case:
     """Read a rig file and its logs.
+
+    A log that is a path or a table is read with the rig file's [channels].
+
+    Args:
+        rig: the rig file.
+        logs: to be fitted.
+        validate: logs that take no part in the fit, and decide what is added to it.
+        test: logs that take part in no decision; only errors are reported of them.
+        horizon: length of a replay window, s.
+        criteria: the thresholds by which it is decided.
 
     Raises:
         InputError: whatever is wrong with them, in one line.
@@ -58,31 +133,85 @@ def open_case(
             'jax.config.update("jax_enable_x64", True)'
         )
     make_room()
-    spec = RigFile.load(rig)
+    spec = rig if isinstance(rig, RigFile) else RigFile.load(rig)
     if not logs:
-        raise InputError(f"{rig}: no log to fit: name at least one")
-    fitted = tuple(read_log(path, spec.channels) for path in logs)
-    others = tuple(read_log(path, spec.channels) for path in validate)
-    again = {Path(p).resolve() for p in logs} & {Path(p).resolve() for p in validate}
-    if again:
-        raise InputError(
-            f"{min(again)}: is among the logs to fit too: a check needs one that took "
-            "no part in the fit"
-        )
+        raise InputError(f"{spec.path}: no log to fit: name at least one")
+    _refuse_shared(logs, validate, test)
+    fitted, others, tests = (
+        tuple(read(log, spec) for log in group) for group in (logs, validate, test)
+    )
+    spec = _with_command_unit(spec, (*fitted, *others, *tests))
+    driver((*fitted, *others, *tests), spec)
+    return _prepared(spec, fitted, others, tests, horizon, criteria)
+
+
+def read(log: LogSource, spec: RigFile) -> Log:
+    """A log of a rig, from wherever it is.
+
+    Raises:
+        InputError: see `Log.load`.
+    """
+    if isinstance(log, Log):
+        return log
+    if isinstance(log, pd.DataFrame):
+        return Log.from_frame(log, channels=spec.channels)
+    return Log.load(log, spec.channels)
+
+
+def _refuse_shared(*groups: Sequence[LogSource]) -> None:
+    """Refuse a log that stands in two of the groups."""
+    seen: list[object] = []
+    for group in groups:
+        own = [Path(g).resolve() if isinstance(g, (str, Path)) else g for g in group]
+        for log in own:
+            if any(log is other or _same_path(log, other) for other in seen):
+                name = getattr(log, "name", "a table") if not _path(log) else str(log)
+                raise InputError(
+                    f"{name}: is among the logs to fit or validate too: a check needs "
+                    "one that took no part in the fit"
+                )
+        seen += own
+
+
+def _path(log: object) -> bool:
+    return isinstance(log, Path)
+
+
+def _same_path(log: object, other: object) -> bool:
+    return _path(log) and _path(other) and log == other
+
+
+def _with_command_unit(spec: RigFile, logs: Sequence[Log]) -> RigFile:
+    """The rig with the logs' unit of the command where its file does not give one.
+
+    Raises:
+        InputError: logs whose commands are in another unit.
+    """
     per = [
         s for e in spec.effects for s in specs(EFFECTS[e]).values() if "{u}" in s.unit
     ]
     if not per and not any(n.startswith("c_") for n in spec.parameters):
-        # Nothing in the rig file says what a command is: the logs do.
-        unit = fitted[0].units.get("u", spec.command_unit)
+        unit = logs[0].units.get("u", spec.command_unit)
         spec = replace(spec, command_unit=unit)
-    for log in (*fitted, *others):
+    for log in logs:
         unit = log.units.get("u", spec.command_unit)
         if unit != spec.command_unit:
             raise InputError(
-                f"{log.name}: u is in [{unit}], but {rig} or another log is per "
+                f"{log.name}: u is in [{unit}], but {spec.path} or another log is per "
                 f"[{spec.command_unit}]: bring them to one unit"
             )
+    return spec
+
+
+def _prepared(
+    spec: RigFile,
+    fitted: tuple[Log, ...],
+    others: tuple[Log, ...],
+    tests: tuple[Log, ...],
+    horizon: float,
+    criteria: Criteria,
+) -> Case:
+    """The logs made ready; `tests` take no part in how."""
     every = (*fitted, *others)
     driven_by = driver(every, spec)
     band = common_band(every, spec, driven_by, criteria)
@@ -104,8 +233,12 @@ def open_case(
             "rig's sign (P pushes toward positive v), so it was turned round; say so "
             "in the rig file with invert = true under [channels]",
         )
-    spec = over_travel(spec, fit.travel)
     check = ready(others, fit.noise, sign) if others else fit
     said = (*notes, *fit.notes, *check.notes)
     fit = replace(fit, notes=tuple(dict.fromkeys(said)))
-    return Case(spec, fit, check, fitted, others or fitted, bool(others), criteria)
+    spec = over_travel(spec, fit.travel)
+    own = Preparation(spec, horizon, fit.noise, sign, band, criteria, found.smoothed)
+    return Case(
+        spec, fit, check, fitted, others or fitted, bool(others), own,
+        own.data(tests) if tests else None, tests,
+    )  # fmt: skip

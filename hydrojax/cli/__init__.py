@@ -30,7 +30,8 @@ def options(
 
 
 SEVERAL = (
-    "--validate", "--gains", "--separate", "--over", "--by", "--at", "--free", "--to",
+    "--validate", "--test", "--gains", "--separate", "--over", "--by", "--at", "--free",
+    "--to",
 )  # fmt: skip
 """Options that take all words that follow."""
 

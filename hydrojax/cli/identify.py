@@ -27,22 +27,26 @@ from hydrojax.cli.options import (
 from hydrojax.jax_setup import set_up_jax, user_cache
 
 if TYPE_CHECKING:
-    from hydrojax.identify.results.outcome import Outcome
+    from hydrojax.identify.result import Result
+
+Validate = typer.Option(
+    help="Logs that take no part in the fit: all words that follow."
+)
+Test = typer.Option(
+    help="Logs that take part in no decision: all words that follow. Errors before and "
+    "after are then theirs.",
+)
 
 
 @app.command()
 def identify(
     rig: RigPath,
     logs: Logs,
-    validate: Annotated[
-        list[Path] | None,
-        typer.Option(help="Logs that take no part in the fit."),
-    ] = None,
+    validate: Annotated[list[Path] | None, Validate] = None,
+    test: Annotated[list[Path] | None, Test] = None,
     out: Out = Path("hydrojax-identify"),
     horizon: Horizon = 0.25,
-    starts: Annotated[
-        int, typer.Option(help="Number of starts of the fit.", min=1)
-    ] = 4,
+    starts: Annotated[int, typer.Option(help="Number of starts.", min=1)] = 4,
     profile: Profile = False,
     effects: Effects = None,
 ) -> None:
@@ -50,35 +54,44 @@ def identify(
     check_out(out)
     set_up_jax(user_cache())
     load_effects(effects)
-    from hydrojax.identify import api
-    from hydrojax.identify.case import open_case
+    from hydrojax import api
 
     with show_progress() as progress:
-        case = open_case(rig, logs, validate or (), horizon)
-        outcome = api.identify(case, starts, progress, profile)
-    _finish(outcome, out)
+        result = api.fit(
+            rig, logs, validate or (), test or (), horizon=horizon, starts=starts,
+            profile=profile, progress=progress,
+        )  # fmt: skip
+    _finish(result, out)
 
 
 @app.command()
 def trace(
     rig: RigPath,
     logs: Logs,
-    validate: Annotated[
-        list[Path],
-        typer.Option(help="Logs that take no part in the fit."),
-    ],
+    validate: Annotated[list[Path], Validate],
+    test: Annotated[list[Path] | None, Test] = None,
     out: Out = Path("hydrojax-trace"),
     horizon: Horizon = 0.25,
-    starts: Annotated[
-        int, typer.Option(help="Number of starts of the fit.", min=1)
-    ] = 1,
+    starts: Annotated[int, typer.Option(help="Number of starts.", min=1)] = 1,
     matters: Matters = 0.02,
     level: Level = 0.01,
     profile: Profile = False,
     effects: Effects = None,
 ) -> None:
     """Close the loop: fit, residual, the effect behind it, refit, before and after."""
-    _trace(rig, logs, validate, out, horizon, starts, matters, level, profile, effects)
+    check_out(out)
+    set_up_jax(user_cache())
+    load_effects(effects)
+    from hydrojax import api
+    from hydrojax.identify.tracing.criteria import Criteria
+
+    with show_progress() as progress:
+        result = api.trace(
+            rig, logs, validate, test or (), horizon=horizon, starts=starts,
+            criteria=Criteria(matters=matters, level=level), profile=profile,
+            progress=progress,
+        )  # fmt: skip
+    _finish(result, out)
 
 
 @app.command()
@@ -88,41 +101,15 @@ def demo(out: Out = Path("hydrojax-demo")) -> None:
     with resources.as_file(folder) as here:
         console.print("trace of the demo rig: two logs to fit, one to check\n")
         logs = [here / "fit_1.csv.gz", here / "fit_2.csv.gz"]
-        _trace(here / "rig.toml", logs, [here / "validate.csv.gz"], out)
+        trace(here / "rig.toml", logs, [here / "validate.csv.gz"], out=out)
 
 
-def _trace(
-    rig: Path,
-    logs: list[Path],
-    validate: list[Path],
-    out: Path,
-    horizon: float = 0.25,
-    starts: int = 1,
-    matters: float = 0.02,
-    level: float = 0.01,
-    profile: bool = False,
-    effects: list[Path] | None = None,
-) -> None:
-    check_out(out)
-    set_up_jax(user_cache())
-    load_effects(effects)
-    from hydrojax.identify import api
-    from hydrojax.identify.case import open_case
-    from hydrojax.identify.tracing.criteria import Criteria
-
-    criteria = Criteria(matters=matters, level=level)
-    with show_progress() as progress:
-        case = open_case(rig, logs, validate, horizon=horizon, criteria=criteria)
-        outcome = api.trace_case(case, starts, progress, profile)
-    _finish(outcome, out)
-
-
-def _finish(outcome: Outcome, out: Path) -> None:
+def _finish(result: Result, out: Path) -> None:
     """Write the report and print its summary."""
-    from hydrojax.identify.report.write import write_report
     from hydrojax.report.text import quantity
 
-    write_report(outcome, out)
+    outcome = result.outcome
+    result.save(out)
     console.print(outcome.verdict, style="bold", end="  ")
     console.print(f"{outcome.sentence}\n", markup=False)
     table = Table("channel", "noise", "before", "after", "after / noise")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import warnings
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,16 @@ def read_table(path: Path) -> File:
         mend = f"export it again as {kind}"
         raise unreadable(path, f"{kind} file", err, mend) from err
     return File(path, columns, header=1 if reader is _csv else 0)
+
+
+def table_of(frame: pd.DataFrame, units: Mapping[str, str], name: str) -> File:
+    """The columns of a table that is not a file; see `Log.from_frame`."""
+    if any(own is not None for own in frame.index.names):
+        frame = frame.reset_index()
+    given = {**frame.attrs.get("units", {}), **units}
+    columns = [_labelled(label, frame.iloc[:, i]) for i, label in enumerate(frame)]
+    columns = [replace(c, unit=given.get(c.name, c.unit)) for c in columns]
+    return File(Path(name), columns, header=0)
 
 
 def unreadable(path: Path, kind: str, error: Exception, mend: str) -> InputError:

@@ -20,7 +20,7 @@ from hydrojax.control import inputs, simulation
 from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import Run, hold, make_scenario
 from hydrojax.errors import InputError
-from hydrojax.logs.log import Log, read_log
+from hydrojax.logs.log import Log
 from hydrojax.rigfile.schema import RigFile
 
 _DIGITS = {"time": "%.6f", "psi": "%.10g", "x": "%.10g"}
@@ -187,7 +187,7 @@ def _log(word: str, kinds: Mapping[str, object], spec: RigFile) -> Log | None:
     if word.partition(":")[0] in kinds:
         return None
     if word.lower().endswith((*KINDS, ".mcap")) or Path(word).exists():
-        return read_log(word, spec.channels)
+        return Log.load(word, spec.channels)
     near = get_close_matches(word.partition(":")[0], kinds, n=1, cutoff=0.5)
     mend = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(kinds)}"
     raise InputError(f"{word!r} is neither a log's path nor a kind; {mend}")

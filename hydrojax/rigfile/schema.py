@@ -10,7 +10,7 @@ from typing import Any
 from hydrojax import units
 from hydrojax.control.base import AbstractController
 from hydrojax.errors import InputError
-from hydrojax.logs.log import SIGNALS, Channel
+from hydrojax.logs.signals import SIGNALS, Channel
 from hydrojax.parameters import Spec
 from hydrojax.plant.layout import LAYOUTS, Layout
 from hydrojax.rigfile.entries import Entry, command_unit, entry, givens, quantities

@@ -10,7 +10,7 @@ from typing import Annotated, Any, NoReturn
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from hydrojax.errors import InputError
-from hydrojax.logs.log import Channel
+from hydrojax.logs.signals import Channel
 from hydrojax.plant.layout import LAYOUTS
 
 ControllerValue = str | int | float | list[str | int | float]

@@ -72,7 +72,7 @@ def prepare(
     """Make logs ready for a replay of the rig.
 
     Args:
-        logs: as `read_log` gives them, all with the same signals.
+        logs: as `Log.load` gives them, all with the same signals.
         spec: the rig they were recorded on.
         horizon: length of a window, s.
         noise: [3] to be used, or None to take the rig file's or estimate it.

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,11 +47,14 @@ Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
 class Resolved:
     """Logs with what drives them as good as it gets, and those to fit made ready, with
     what is left of its noise in that of the channels.
+
+    `smoothed` does the same to a log that took no part in it.
     """
 
     logs: tuple[Log, ...]
     fit: Data
     notes: tuple[str, ...] = ()
+    smoothed: Callable[[Log], Log] = lambda log: log
 
 
 Ready = Callable[[Sequence[Log], np.ndarray], Data]
@@ -86,12 +90,19 @@ def resolve(
         found = _drive(logs, spec, criteria)
     if found is None:
         return Resolved(logs, fit)
-    smoothed, noise, note = found
-    return Resolved(smoothed, ready(smoothed[:count], noise), (note,))
+    fit = ready(found.logs[:count], found.noise)
+    return Resolved(found.logs, fit, (found.note,), found.change)
 
 
-Smoothed = tuple[tuple[Log, ...], np.ndarray, str]
-"""Logs with what drives smoothed, the channels' noise [3] with it, SI, and a remark."""
+class Smoothed(NamedTuple):
+    """Logs with what drives smoothed, the channels' noise [3] with it, SI, a remark,
+    and what smooths another log.
+    """
+
+    logs: tuple[Log, ...]
+    noise: np.ndarray
+    note: str
+    change: Callable[[Log], Log]
 
 
 def _position(
@@ -110,7 +121,11 @@ def _position(
     rig = build_rig(spec)
     if sensor_noise is None or not _matters(sensor_noise, rig, fit, criteria):
         return None
-    smoothed = tuple(_moved(log, spec, sensor_noise.smoothed, criteria) for log in logs)
+
+    def change(log: Log) -> Log:
+        return _moved(log, spec, sensor_noise.smoothed, criteria)
+
+    smoothed = tuple(map(change, logs))
     again = [
         _moved(log, spec, partial(_again, sensor_noise), criteria) for log in smoothed
     ]
@@ -148,7 +163,7 @@ def _position(
         f"{_said(sensor_noise)} what is "
         f"left of its noise moves {moves} RMS, which is counted into their noise"
     )
-    return smoothed, np.hypot(noise, extra), note
+    return Smoothed(smoothed, np.hypot(noise, extra), note, change)
 
 
 def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Smoothed | None:
@@ -195,7 +210,14 @@ def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Smoothed
         f"{_said(min(noises.values(), key=lambda b: b.cut))} what is left moves F by "
         f"{np.sqrt(square - own**2):.2g} N RMS, which is counted into its noise"
     )
-    return logs, np.array([np.inf, np.inf, np.sqrt(square)]), note
+
+    def change(log: Log) -> Log:
+        for name, sensor_noise in noises.items():
+            log = _smoothed(log, name, sensor_noise.smoothed, criteria)
+        return log
+
+    noise = np.array([np.inf, np.inf, np.sqrt(square)])
+    return Smoothed(logs, noise, note, change)
 
 
 def _said(sensor_noise: SensorNoise) -> str:

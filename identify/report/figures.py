@@ -77,6 +77,11 @@ def styled(
     return inside
 
 
+def judged(outcome: Outcome) -> str:
+    """Which logs the errors before and after are of: `test` or `validation`."""
+    return "test" if outcome.test_logs else "validation"
+
+
 def _plain(value: float, _: object = None) -> str:
     return f"{value:g}" if 1e-4 <= abs(value) < 1e5 or value == 0 else f"{value:.0e}"
 
@@ -137,7 +142,7 @@ def error_figure(outcome: Outcome) -> Figure | None:
     ax.grid(visible=False, axis="y")
     ratios = [r for *_, b, a in rows for r in (b, a) if r > 0]
     log_axis(ax, min(0.8, 0.8 * min(ratios)), max(2.0, 1.3 * max(ratios)))
-    ax.set_xlabel("RMS error on the validation logs / noise")
+    ax.set_xlabel(f"RMS error on the {judged(outcome)} logs / noise")
     marks: dict[str, Any] = {"ls": "", "ms": 7}
     open_mark: dict[str, Any] = {"mfc": "white", "mec": BEFORE, "mew": 1.6}
     handles = [Line2D([], [], marker="o", label="before", **open_mark, **marks)]

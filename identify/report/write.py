@@ -12,6 +12,7 @@ from typing import Any
 from hydrojax.identify.report import figures, residuals
 from hydrojax.identify.report.explorer import explorer_data
 from hydrojax.identify.results.outcome import (
+    Channel,
     Effect,
     LoopCheck,
     Outcome,
@@ -43,11 +44,15 @@ def json_of(outcome: Outcome) -> dict[str, Any]:
         "format": FORMAT,
         "command": o.command,
         "rig": o.rig,
-        "logs": {"fit": o.fit_logs, "validate": o.validate_logs},
+        "logs": {
+            "fit": o.fit_logs,
+            "validate": o.validate_logs,
+            "test": o.test_logs,
+        },
         "verdict": o.verdict,
         "sentence": o.sentence,
         "parameters": {n: _parameter(p) for n, p in o.parameters.items()},
-        "channels": {n: asdict(c) for n, c in o.channels.items()},
+        "channels": {n: _channel(c) for n, c in o.channels.items()},
         "effects": [_effect(e) for e in o.effects],
         "candidates": [asdict(c) for c in o.candidates],
         "unexplained": [_unexplained(u) for u in o.unexplained],
@@ -56,6 +61,7 @@ def json_of(outcome: Outcome) -> dict[str, Any]:
         "limits": o.limits,
         "notes": o.notes,
         "seconds": o.seconds,
+        "criteria": asdict(o.criteria),
     }
     return _strict(found)
 
@@ -87,6 +93,11 @@ def _effect(e: Effect) -> dict[str, Any]:
         "cannot_tell_from": e.cannot_tell_from,
         "betrayed_by": e.residual_axis,
     }
+
+
+def _channel(c: Channel) -> dict[str, Any]:
+    own = asdict(c)
+    return own if c.validate else {k: v for k, v in own.items() if k != "validate"}
 
 
 def _unexplained(u: Unexplained) -> dict[str, Any]:
@@ -143,9 +154,9 @@ def _error_said(outcome: Outcome) -> tuple[str, str]:
     ]
     return (
         f"Error before and after: {', '.join(rows)}.",
-        "RMS error of each channel on the validation logs, before and after, in "
-        f"multiples of its noise. Up to {outcome.criteria.at_noise:g} a channel is "
-        "at its noise.",
+        f"RMS error of each channel on the {figures.judged(outcome)} logs, before and "
+        f"after, in multiples of its noise. Up to {outcome.criteria.at_noise:g} a "
+        "channel is at its noise.",
     )
 
 
@@ -218,6 +229,7 @@ def page(outcome: Outcome, shown: Sequence[Picture]) -> str:
         pictures={p.name: p for p in shown},
         ranking=figures.ranking(outcome),
         at_noise=outcome.criteria.at_noise,
+        judged=figures.judged(outcome),
         explorer=explorer_data(outcome),
     )
 

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydrojax.identify.tracing.criteria import Criteria
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -35,18 +31,31 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Channel:
-    """Error of one channel on the validation logs, RMS, SI."""
+class Errors:
+    """Error of one channel with the declared model and with the final one, RMS, SI."""
 
-    unit: str
-    noise: float
     before: float
     after: float
 
 
 @dataclass(frozen=True)
+class Channel:
+    """Error of one channel, RMS, SI: on the test logs where there are any, and then
+    that on the validation logs is `validate`; else on the validation logs.
+    """
+
+    unit: str
+    noise: float
+    before: float
+    after: float
+    validate: Errors | None = None
+
+
+@dataclass(frozen=True)
 class Effect:
-    """An effect that was named; `parameters` by their own names, errors by channel."""
+    """An effect that was named; `parameters` by their own names; errors by channel, on
+    the validation logs.
+    """
 
     name: str
     parameters: dict[str, Parameter]
@@ -151,7 +160,8 @@ class Outcome:
 
     `verdict` is "nothing missing", "explained" or "unknown"; `sentence` says it.
     `limits` are sentences on what is at a range's end or not identified. `rig_file` is
-    the rig file with the identified values and the effects found; `criteria` are the
+    the rig file with the identified values and the effects found; `values` are
+    all parameters by name, SI, as stored; `criteria` the
     thresholds that decided.
     """
 
@@ -173,22 +183,6 @@ class Outcome:
     loops: tuple[LoopCheck, ...] = ()
     covariance: Covariance | None = None
     rig_file: str = ""
+    test_logs: tuple[str, ...] = ()
+    values: dict[str, float] = field(default_factory=dict)
     criteria: Criteria = Criteria()
-
-    def plot(self, picture: str | None = None) -> Figure:
-        """The most telling picture, or one of those of the report by its name.
-
-        Raises:
-            InputError: no such picture, or nothing to show in it.
-        """
-        from hydrojax.identify.results import (
-            show,  # it draws: whoever only reads an outcome needs no pictures
-        )
-
-        return show.plot(self, picture)
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        from hydrojax.identify.results import show
-
-        return show.html(self)

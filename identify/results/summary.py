@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrojax.effects import EFFECTS
 from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.problem import batch_of
 from hydrojax.identify.inference.uncertainty import Uncertainty
-from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results import describe
 from hydrojax.identify.results.extrapolation import extrapolation
@@ -18,18 +19,16 @@ from hydrojax.identify.results.outcome import (
     Channel,
     Covariance,
     Effect,
+    Errors,
     Outcome,
-    Parameter,
-    Series,
     Unexplained,
 )
+from hydrojax.identify.results.parameters import named_effects, parameters_of
+from hydrojax.identify.results.series import series_of, signals_of
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.state import Tracing
-from hydrojax.parameters import Spec
-from hydrojax.plant.named import parameter_specs
 from hydrojax.rigfile.schema import SUPPLY
-from hydrojax.units import with_command
 
 if TYPE_CHECKING:
     from hydrojax.identify.case import Case
@@ -45,58 +44,116 @@ def summarise(
     """
     seen = [c for c in range(3) if np.isfinite(state.noise[c])]
     declared = state.check.initial_values() if command == "identify" else base.values
-    before = state.check.residuals_at(declared)
-    after = state.check.residuals_at(state.point.values)
-    errors = tuple(np.sqrt(np.mean(r**2, axis=(0, 1))) for r in (before, after))
-    channels = {
-        CHANNELS[c]: Channel(
-            UNITS[c],
-            float(state.noise[c]),
-            float(errors[0][c]),
-            float(errors[1][c]),
-        )
-        for c in seen
-    }
-    signals = _signals(case.check, before.shape[1], case.spec.geometry.get("radius"))
-    tick = float(np.median(case.check.windows.h))
-    left = tuple(
-        describe.unexplained(
-            name,
-            ch.unit,
-            ch.noise,
-            after[..., CHANNELS.index(name)],
-            signals,
-            tick,
-            state.criteria,
-        )
-        for name, ch in channels.items()
-        if ch.after > state.criteria.at_noise * ch.noise
-    )
+    ends = (declared, state.point.values)
+    before, after = (state.check.residuals_at(values) for values in ends)
+    errors = (_rms(before), _rms(after))
+    channels = _channels(case, state, ends, errors, seen)
+    signals = signals_of(case.check, before.shape[1], case.spec.geometry.get("radius"))
+    left = _left(case, state, after, errors[1], signals, seen)
     verdict = "unknown" if left else "explained" if state.added else "nothing missing"
     needed = (
         extrapolation(state, uncertainty.unidentifiable)
         if left and case.held_out
         else ()
     )
-    effects = _effects(case, state, uncertainty, (errors[0], errors[1]))
+    effects = named_effects(case, state, uncertainty, (errors[0], errors[1]))
     return Outcome(
         command=command,
         rig=case.spec.name,
         fit_logs=tuple(log.name for log in case.fit_logs),
         validate_logs=tuple(log.name for log in case.check_logs),
+        test_logs=tuple(log.name for log in case.test_logs),
         verdict=verdict,
         sentence=_sentence(command, verdict, effects, left, case.held_out, needed),
-        parameters=_parameters(case, state, uncertainty),
+        parameters=parameters_of(case, state, uncertainty),
         channels=channels,
         effects=effects,
         candidates=_candidates(state),
         unexplained=left,
-        limits=(*uncertainty.limits, *_undecided(effects)),
+        limits=(
+            *uncertainty.limits,
+            *_undecided(effects),
+            *_untested(channels, verdict, state.criteria.at_noise),
+        ),
         notes=_notes(case),
-        series=_series(case, before, after, signals, seen),
+        series=series_of(case, before, after, signals, seen),
+        values=state.named,
         covariance=Covariance(uncertainty.inside, uncertainty.covariance),
         criteria=state.criteria,
     )
+
+
+def _rms(residuals: np.ndarray) -> np.ndarray:
+    """Root mean square by channel, [3], of [W, T, 3]."""
+    return np.sqrt(np.mean(residuals**2, axis=(0, 1)))
+
+
+def _channels(
+    case: Case,
+    state: Tracing,
+    ends: tuple[np.ndarray, np.ndarray],
+    errors: tuple[np.ndarray, np.ndarray],
+    seen: list[int],
+) -> dict[str, Channel]:
+    """Errors at the values `ends` [n]: of the test logs where there are any, with those
+    of the validation logs, which are `errors` [3], beside them.
+    """
+    own = errors
+    if case.test is not None:
+        tested = replace(state.check, batch=batch_of(case.test))
+        own = tuple(_rms(tested.residuals_at(values)) for values in ends)
+    out = {}
+    for c in seen:
+        beside = Errors(float(errors[0][c]), float(errors[1][c]))
+        out[CHANNELS[c]] = Channel(
+            UNITS[c],
+            float(state.noise[c]),
+            float(own[0][c]),
+            float(own[1][c]),
+            None if case.test is None else beside,
+        )
+    return out
+
+
+def _left(
+    case: Case,
+    state: Tracing,
+    after: np.ndarray,
+    errors: np.ndarray,
+    signals: Mapping[str, np.ndarray],
+    seen: list[int],
+) -> tuple[Unexplained, ...]:
+    """What stays above the noise of the validation logs: residuals `after` [W, T, 3],
+    whose RMS is `errors` [3].
+    """
+    tick = float(np.median(case.check.windows.h))
+    return tuple(
+        describe.unexplained(
+            CHANNELS[c],
+            UNITS[c],
+            float(state.noise[c]),
+            after[..., c],
+            signals,
+            tick,
+            state.criteria,
+        )
+        for c in seen
+        if errors[c] > state.criteria.at_noise * state.noise[c]
+    )
+
+
+def _untested(
+    channels: Mapping[str, Channel], verdict: str, at_noise: float
+) -> list[str]:
+    """Test errors that disagree with a verdict of the validation logs."""
+    if verdict == "unknown":
+        return []
+    return [
+        f"{name} is {c.after / c.noise:.2f} times its noise on the test logs, which "
+        "took part in no decision: the verdict holds for the validation logs"
+        for name, c in channels.items()
+        if c.validate is not None and c.after > at_noise * c.noise
+    ]
 
 
 def _undecided(effects: tuple[Effect, ...]) -> list[str]:
@@ -127,88 +184,6 @@ def _notes(case: Case) -> tuple[str, ...]:
     if any("v" in log.signals for log in logs):
         notes.append("v is not used: speed is taken from the position")
     return tuple(notes)
-
-
-def _shown(spec: Spec, command: str) -> str:
-    return with_command(spec.unit, command)
-
-
-def _one(
-    name: str, case: Case, state: Tracing, uncertainty: Uncertainty, spec: Spec
-) -> tuple[str, Parameter]:
-    """A parameter as reports show it: by its outside name where it has one."""
-    value = float(state.point.values[state.problem.model.names.index(name)])
-    free = name in state.free
-    known = state.problem.free.get(name)
-    start = known.start if known else value
-    std = uncertainty.std.get(name)
-    interval = None if std is None else (value - 1.96 * std, value + 1.96 * std)
-    at_bound = free and name in uncertainty.ends
-    unit = _shown(spec, case.spec.command_unit)
-    shown = name.rsplit(".", 1)[-1]
-    if spec.outside:
-        shown, unit = (
-            spec.outside[0],
-            with_command(spec.outside[1], case.spec.command_unit),
-        )
-        if std is not None and interval is not None and value > 0:
-            ends = [1 / max(e, 1e-12) for e in interval]
-            std, interval = std / value**2, (min(ends), max(ends))
-        value = 1 / value if value else float("inf")
-        start = 1 / start if start else float("inf")
-    profile = uncertainty.profiles.get(name)
-    if profile and spec.outside:
-        profile = (1 / profile[1] if profile[1] else None,
-                   1 / profile[0] if profile[0] else None)  # fmt: skip
-    if interval and known and not spec.outside:
-        interval = (max(interval[0], known.lower), min(interval[1], known.upper))
-    return shown, Parameter(
-        value, unit, spec.description, start, free, std, interval, at_bound,
-        free and not at_bound and name not in uncertainty.unidentifiable, profile,
-    )  # fmt: skip
-
-
-def _parameters(
-    case: Case, state: Tracing, uncertainty: Uncertainty
-) -> dict[str, Parameter]:
-    """Base parameters and those of effects that the rig file declares."""
-    out = {}
-    for name, spec in parameter_specs(state.problem.model.rig).items():
-        effect = name.split(".")[0] if "." in name else None
-        if effect is None or effect in case.spec.effects:
-            shown, p = _one(name, case, state, uncertainty, spec)
-            out[f"{effect}.{shown}" if effect else shown] = p
-    return out
-
-
-def _effects(
-    case: Case,
-    state: Tracing,
-    uncertainty: Uncertainty,
-    errors: tuple[np.ndarray, np.ndarray],
-) -> tuple[Effect, ...]:
-    spec = parameter_specs(state.problem.model.rig)
-    seen = [c for c in range(3) if np.isfinite(state.noise[c])]
-    out = []
-    # What an effect did is told to where the next one came in, and the last to the end:
-    # the force is fitted only after the pressures have theirs.
-    ends = [errors[0], *(a.before for a in state.added[1:]), errors[1]]
-    for i, added in enumerate(state.added):
-        own = [n for n in spec if n.startswith(f"{added.name}.")]
-        out.append(
-            Effect(
-                name=added.name,
-                parameters=dict(
-                    _one(n, case, state, uncertainty, spec[n]) for n in own
-                ),
-                p_value=added.p_value,
-                before={CHANNELS[c]: float(ends[i][c]) for c in seen},
-                after={CHANNELS[c]: float(ends[i + 1][c]) for c in seen},
-                cannot_tell_from=added.cannot_tell_from,
-                residual_axis=EFFECTS[added.name].residual_axis,
-            )
-        )
-    return tuple(out)
 
 
 WHY = {
@@ -280,67 +255,3 @@ def _sentence(
     if command == "identify":
         return f"The declared model does not explain {channels}: {rest}. Try trace."
     return f"{start}no known effect explains the residual of {channels}: {rest}."
-
-
-def _signals(data: Data, scored: int, radius: float | None) -> dict[str, np.ndarray]:
-    """Signals a residual may correlate with, [W, T] each, at the compared ticks; SI."""
-    w = data.windows
-    lead = w.x.shape[1] - scored
-
-    def rate(y):
-        return np.gradient(y, axis=1) / w.h
-
-    full = {"x": w.x, "v": w.v, "a": w.a, "t": w.t}
-    if data.driven_by == "u":
-        full |= {"u": w.u, "u_rate": rate(w.u), "abs(u)": np.abs(w.u)}
-    if np.ptp(w.P_a2) > 0 and data.driven_by != "P":
-        full |= {"P_a1 + P_a2": w.P_a1 + w.P_a2, "P_a1 - P_a2": w.P_a1 - w.P_a2}
-    if radius:
-        full["psi"] = w.x / radius
-    out = {name: np.asarray(s[:, lead:]) for name, s in full.items()}
-    F = np.asarray(w.measured[..., 2])
-    if np.all(np.isfinite(F)) and np.ptp(F) > 0:
-        out["F"] = F
-    return out
-
-
-def _series(
-    case: Case,
-    before: np.ndarray,
-    after: np.ndarray,
-    signals: dict[str, np.ndarray],
-    seen: list[int],
-) -> tuple[Series, ...]:
-    """One log's windows laid end to end, a NaN between those that do not adjoin."""
-    data, out = case.check, []
-    first = np.asarray(data.windows.first)
-    seg, scored = np.asarray(data.windows.seg), before.shape[1]
-    lead = data.windows.x.shape[1] - scored
-    F = data.windows.measured
-    for i, log in enumerate(case.check_logs):
-        own = np.nonzero(data.log == i)[0]
-        apart = [
-            k
-            for k, (a, b) in enumerate(zip(own[:-1], own[1:], strict=True))
-            if seg[a] != seg[b] or first[b] != first[a] + scored
-        ]
-
-        def lay(y, own=own, apart=apart):
-            rows = [
-                np.append(y[j], np.nan) if k in apart else y[j]
-                for k, j in enumerate(own)
-            ]
-            return np.concatenate(rows) if rows else np.zeros(0)
-
-        names = {CHANNELS[c]: c for c in seen}
-        out.append(
-            Series(
-                log=log.name,
-                t=lay(np.asarray(data.windows.t)[:, lead:]),
-                measured={n: lay(F[..., c]) for n, c in names.items()},
-                before={n: lay(before[..., c]) for n, c in names.items()},
-                after={n: lay(after[..., c]) for n, c in names.items()},
-                signals={n: lay(s) for n, s in signals.items()},
-            )
-        )
-    return tuple(out)

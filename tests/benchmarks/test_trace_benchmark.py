@@ -216,7 +216,7 @@ def test_catalogue_holds_what_is_promised():
 
 
 def test_case_on_disk_is_readable(tmp_path):
-    from hydrojax.logs.log import read_log
+    from hydrojax.logs.log import Log
     from hydrojax.rigfile.schema import RigFile
 
     spec = cases.CaseSpec("effect-valve_lag-1-0", "effect", {"valve_lag": 1.0})
@@ -224,7 +224,7 @@ def test_case_on_disk_is_readable(tmp_path):
     folder = tmp_path / spec.name
     declared, oracle = (RigFile.load(folder / f"{n}.toml") for n in ("rig", "oracle"))
     assert set(oracle.effects) == {"valve_lag"} and not declared.effects
-    log = read_log(folder / "fit_1.csv")
+    log = Log.load(folder / "fit_1.csv")
     assert len(log.time) == 600 and {"u", "psi", "P_a1", "P_s", "F"} <= set(log.signals)
     truth = json.loads((folder / "truth.json").read_text())
     start, true = declared.parameters["beta"].start, truth["rig"]["beta"]
@@ -232,7 +232,7 @@ def test_case_on_disk_is_readable(tmp_path):
 
 
 def test_a_differential_cylinder_reads_back(tmp_path):
-    from hydrojax.logs.log import read_log
+    from hydrojax.logs.log import Log
     from hydrojax.rigfile.schema import RigFile
 
     (spec,) = cases.plan(0, {"differential": 1})
@@ -240,7 +240,7 @@ def test_a_differential_cylinder_reads_back(tmp_path):
     rig = RigFile.load(tmp_path / spec.name / "rig.toml")
     assert rig.layout.name == "differential"
     assert 0.55 < rig.geometry["area_1"] / rig.geometry["area_2"] < 0.85
-    s = read_log(tmp_path / spec.name / "fit_1.csv").signals
+    s = Log.load(tmp_path / spec.name / "fit_1.csv").signals
     assert "x" in s and "psi" not in s
     # In balance but for friction and noise: the areas are the plant's own.
     drive = rig.geometry["area_2"] * s["P_a2"] - rig.geometry["area_1"] * s["P_a1"]

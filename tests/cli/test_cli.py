@@ -404,6 +404,7 @@ def test_identify_writes_the_contracts_report(call, recorded, tmp_path):
     assert report["logs"] == {
         "fit": ["fit_1.csv", "fit_2.csv"],
         "validate": ["validate.csv"],
+        "test": [],
     }
     assert set(report["channels"]) == {"P_a1", "P_a2", "F"}
     for channel in report["channels"].values():

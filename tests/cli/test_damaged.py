@@ -18,7 +18,8 @@ from benchmarks.damage import __main__ as damage
 from benchmarks.damage.mutations import damaged_log, damaged_rig
 from hydrojax import units
 from hydrojax.errors import InputError
-from hydrojax.logs.log import SIGNALS, read_log
+from hydrojax.logs.log import Log
+from hydrojax.logs.signals import SIGNALS
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD
 
@@ -44,7 +45,7 @@ def one_line(path: Path, error: InputError) -> None:
 
 def log_is_sound_or_refused(path: Path) -> None:
     try:
-        log = read_log(path)
+        log = Log.load(path)
     except InputError as error:
         one_line(path, error)
         return

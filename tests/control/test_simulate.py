@@ -16,7 +16,7 @@ from hydrojax.control.adaptive import Estimates, mean_area
 from hydrojax.errors import InputError
 from hydrojax.identify import api as running
 from hydrojax.identify.case import open_case
-from hydrojax.logs.log import read_log
+from hydrojax.logs.log import Log
 from hydrojax.paper import experiments
 from hydrojax.plant.load import Driven, Inertia
 from hydrojax.plant.places import PLACES
@@ -276,7 +276,7 @@ def test_a_log_comes_back(tmp_path, kind):
     path = tmp_path / "new" / f"log{kind}"
     recording.write_log(path, TABLE)
     assert [p.name for p in path.parent.iterdir()] == [path.name]
-    log = read_log(path)
+    log = Log.load(path)
     exact = kind in (".mat", ".parquet")
     assert np.allclose(log.time, TABLE["time"][1], rtol=0, atol=0 if exact else 1e-9)
     assert set(log.signals) == set(TABLE) - {"time"}
@@ -301,7 +301,7 @@ def test_other_kinds_are_refused(tmp_path, name):
 def test_endings_in_capitals(tmp_path, kind):
     path = tmp_path / f"log{kind}"
     recording.write_log(path, TABLE)
-    assert len(read_log(path).time) == 700
+    assert len(Log.load(path).time) == 700
 
 
 # -- a course in words --
@@ -441,7 +441,7 @@ def test_simulate_writes_a_log(call, bench, tmp_path):
     assert said.code == 0, said
     assert "600 samples in" in text_of(said) and "N RMS" in text_of(said)
     assert "warning" not in said.out
-    log = read_log(out, bench[1].channels)
+    log = Log.load(out, bench[1].channels)
     assert list(log.signals) == ["u", "psi", "P_a1", "P_a2", "P_s", "F", "F_d"]
     assert log.time.size == 600 and log.time[1] == 1e-3
     assert np.std(log.signals["P_s"]) == pytest.approx(9e3, rel=0.2)
@@ -475,7 +475,7 @@ def test_a_rig_with_a_rod_has_its_middle_in_the_log(call, tmp_path):
     text = RIG.replace('radius = "0.085 m"', 'x_mid = "0.3 m"')
     rig.write_text(text)
     assert call("simulate", rig, "--seconds", 0.6, "--out", out).code == 0
-    log = read_log(out)
+    log = Log.load(out)
     assert np.all(np.abs(log.signals["x"] - 0.3) < 0.021)
     spec = RigFile.load(rig)
     scenario = recording.read_scenario(spec, build_loop(spec), str(out), str(out), 1.0)
@@ -486,7 +486,7 @@ def test_a_rig_with_a_rod_has_its_middle_in_the_log(call, tmp_path):
     again = tmp_path / "again.csv"
     both = ("--reference", out, "--motion", out)
     assert call("simulate", rig, *both, "--out", again).code == 0
-    first, second = log.signals["F"][:-1], read_log(again).signals["F"]
+    first, second = log.signals["F"][:-1], Log.load(again).signals["F"]
     assert np.std(first) > 200  # and the encoder's steps, in the motion now, cost 2 N
     assert np.sqrt(np.mean((second - first) ** 2)) < 5
 
@@ -507,7 +507,7 @@ def test_a_log_without_noise_is_warned_of(call, tmp_path):
     said = call("simulate", rig, "--seconds", 0.6, "--out", out)
     assert said.code == 0
     assert "warning: the rig file gives no noise under " in text_of(said)
-    assert read_log(out).time.size == 600
+    assert Log.load(out).time.size == 600
 
 
 def test_the_warning_names_the_section(call, tmp_path):

@@ -76,7 +76,7 @@ def test_every_page_is_there(site):
     [
         "hydrojax.identify.case.open_case",
         "hydrojax.identify.api.trace_case",
-        "hydrojax.identify.results.outcome.Outcome.plot",
+        "hydrojax.identify.result.Result.plot",
         "hydrojax.plant.step.step",
         "hydrojax.control.loop.run",
         "hydrojax.control.simulation.simulate",
@@ -87,7 +87,7 @@ def test_every_page_is_there(site):
         "hydrojax.tune.api.sweep",
         "hydrojax.jax_setup.set_up_jax",
         "hydrojax.export.formats.export",
-        "hydrojax.logs.log.read_log",
+        "hydrojax.logs.log.Log.load",
     ],
 )
 def test_the_api_pages_hold(site, name):

@@ -8,7 +8,7 @@ import pytest
 
 from hydrojax.control.simulation import simulate
 from hydrojax.identify.results.closed_loop import check_loop, identified
-from hydrojax.logs.log import read_log
+from hydrojax.logs.log import Log
 from hydrojax.plant.named import get, parameter_specs
 from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import build_loop, build_rig
@@ -33,7 +33,7 @@ def log(spec, tmp_path_factory):
     scenario = recording.read_scenario(spec, loop, seconds=5.0, seed=2)
     path = tmp_path_factory.mktemp("loop") / "log.csv"
     recording.write_log(path, recording.columns(simulate(loop, scenario), spec))
-    return read_log(path, spec.channels)
+    return Log.load(path, spec.channels)
 
 
 @pytest.fixture(scope="module")

@@ -32,8 +32,9 @@ from hydrojax.identify.preparation.data import prepare, runs_backward
 from hydrojax.identify.preparation.noise import estimate_noise, motion_band, smooth
 from hydrojax.identify.results import summary
 from hydrojax.identify.results.outcome import Outcome
+from hydrojax.identify.results.parameters import parameter_of
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.logs.log import Log, read_log
+from hydrojax.logs.log import Log
 from hydrojax.parameters import specs
 from hydrojax.plant.replay import friction_memory
 from hydrojax.rigfile.build import build_rig
@@ -456,7 +457,7 @@ def test_a_reciprocal_is_shown_with_its_own_spread(effect, stored, shown, unit, 
         {name: std}, frozenset(), (), (), (name,), covariance, {name: ends}
     )
     case = SimpleNamespace(spec=SimpleNamespace(command_unit="V"))
-    got, p = summary._one(name, case, state, belief, spec)
+    got, p = parameter_of(name, case, state, belief, spec)
     drawn = 1 / np.random.default_rng(7).normal(value, std, 200_000)
     assert (got, p.unit, p.identified) == (shown, unit, True)
     assert (p.value, p.start) == pytest.approx((1 / value, 1 / start))
@@ -520,7 +521,7 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
         both = [row for first in holes for row in (first, first + 1)]
         log.loc[both, "P_a1 [Pa]"] = np.nan
     log.to_csv(tmp_path / "log.csv", index=False)
-    data = prepare((read_log(tmp_path / "log.csv"),), bench)
+    data = prepare((Log.load(tmp_path / "log.csv"),), bench)
     w = data.windows
     rows_of = np.asarray(w.u) * 1e3
     np.testing.assert_allclose(np.diff(rows_of, axis=1), 1.0, atol=1e-6)
@@ -551,7 +552,7 @@ def test_runs_of_a_long_log_are_what_the_whole_gives(recorded, monkeypatch):
     """Every window, and what friction remembers there, within what `SETTLE` forgets."""
     case = recorded(1, None, 30.0)
     spec = RigFile.load(case / "rig.toml")
-    log = read_log(case / "fit_1.csv", spec.channels)
+    log = Log.load(case / "fit_1.csv", spec.channels)
     whole = prepare((log,), spec)
     ticks = whole.windows.u.shape[1]
     monkeypatch.setattr(windows, "RUN", 8)
@@ -643,7 +644,7 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
             rig.read_text() + '[channels]\npsi = { column = "psi", invert = true }\n'
         )
     spec = RigFile.load(rig)
-    data = prepare([read_log(p, spec.channels) for p in logs], spec)
+    data = prepare([Log.load(p, spec.channels) for p in logs], spec)
     assert data.driven_by == "pressures"
     assert runs_backward(data) == (sign < 0)
     case = open_case(rig, logs, [check])
@@ -654,7 +655,7 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
 def test_the_command_ahead_of_a_window_reaches_far_back(recorded):
     """Coarse, then tick by tick, and with the same integral as the log's own."""
     case = recorded(SEED, {})
-    data, log = opened(case).fit, read_log(case / "fit_1.csv")
+    data, log = opened(case).fit, Log.load(case / "fit_1.csv")
     w, u, h = data.windows, log.signals["u"], 1e-3
     for i in (0, 5):
         first, back = int(w.first[i]), windows.COARSE * windows.EACH
@@ -686,7 +687,7 @@ def test_a_segment_that_begins_late_had_stood_still():
 def test_motion_under_a_command_is_never_turned(recorded):
     case = recorded(SEED)
     spec = RigFile.load(case / "rig.toml")
-    data = prepare([read_log(case / "fit_1.csv")], spec, sign=-1.0)
+    data = prepare([Log.load(case / "fit_1.csv")], spec, sign=-1.0)
     assert data.driven_by == "u"
     assert not runs_backward(data)
 

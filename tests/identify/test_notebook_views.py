@@ -11,6 +11,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from hydrojax.errors import InputError
+from hydrojax.identify.results import show
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.tune import metrics
 from hydrojax.tune.accessor import sentences
@@ -61,7 +62,7 @@ def bare(text: str) -> None:
 @pytest.mark.parametrize("name", OUTCOMES)
 def test_an_outcome_shows_its_verdict_in_a_notebook(name):
     outcome = OUTCOMES[name]()
-    text = outcome._repr_html_()
+    text = show.html(outcome)
     bare(text)
     assert f"{outcome.verdict}." in Page(text).said
     assert outcome.sentence in Page(text).said
@@ -69,7 +70,7 @@ def test_an_outcome_shows_its_verdict_in_a_notebook(name):
 
 
 def test_an_outcome_shows_effects_channels_and_parameters():
-    effects, channels, found = Tables(explained()._repr_html_()).tables
+    effects, channels, found = Tables(show.html(explained())).tables
     assert effects[1:] == [
         ["internal leakage", "c_il", "(1.030 ± 0.014) × 10⁻¹² m³/(s·Pa)",
          "< 10⁻³⁰⁰", ""],
@@ -88,10 +89,10 @@ def test_an_outcome_shows_effects_channels_and_parameters():
 
 
 def test_an_outcome_plots_what_tells_most():
-    assert len(explained().plot().axes) == 3  # against the signal of each effect
-    assert len(nothing_missing().plot().axes) == 1
-    assert len(explained().plot("residual").axes) == 6
-    assert isinstance(identified().plot("parameter"), Figure)
+    assert len(show.plot(explained()).axes) == 3  # against the signal of each effect
+    assert len(show.plot(nothing_missing()).axes) == 1
+    assert len(show.plot(explained(), "residual").axes) == 6
+    assert isinstance(show.plot(identified(), "parameter"), Figure)
 
 
 @pytest.mark.parametrize(
@@ -100,22 +101,22 @@ def test_an_outcome_plots_what_tells_most():
 )
 def test_a_picture_that_is_not_there_is_refused_in_one_line(picture, says):
     with pytest.raises(InputError, match=says):
-        identified().plot(picture)
+        show.plot(identified(), picture)
 
 
 def test_an_outcome_with_nothing_shows_its_sentence():
     empty = Outcome("identify", "rig", (), (), "nothing missing", "Nothing.", {}, {})
-    assert Tables(empty._repr_html_()).tables == []
+    assert Tables(show.html(empty)).tables == []
     with pytest.raises(InputError, match="nothing to show"):
-        empty.plot()
+        show.plot(empty)
 
 
 def test_text_of_a_log_does_not_become_markup():
     outcome = replace(explained(), rig="<b>rig</b> & co", sentence="a < b")
-    text = outcome._repr_html_()
+    text = show.html(outcome)
     assert "&lt;b&gt;rig&lt;/b&gt; &amp; co" in text and "a &lt; b" in text
     cells = replace(outcome, channels={"<i>": explained().channels["F"]})
-    assert "<i>" not in cells._repr_html_()
+    assert "<i>" not in show.html(cells)
 
 
 # -- the gains --

@@ -17,6 +17,7 @@ from hydrojax.identify.results.outcome import (
     Channel,
     Covariance,
     Effect,
+    Errors,
     LoopCheck,
     Outcome,
     Parameter,
@@ -219,6 +220,7 @@ CONTRACT = {
     "limits": list,
     "notes": list,
     "seconds": dict,
+    "criteria": dict,
 }
 RECORDS = {
     "effects": {"name", "parameters", "p_value", "before", "after", "cannot_tell_from"},
@@ -274,7 +276,7 @@ def test_json_keeps_the_contract(written, name):
     found = json.loads(text, parse_constant=refuse)
     assert {k: type(v) for k, v in found.items()} == CONTRACT
     assert found["format"] == "hydrojax-report/1"
-    assert set(found["logs"]) == {"fit", "validate"}
+    assert set(found["logs"]) == {"fit", "validate", "test"}
     for key, wanted in RECORDS.items():
         for record in found[key]:
             assert wanted <= set(record)
@@ -284,6 +286,26 @@ def test_json_keeps_the_contract(written, name):
         assert not p["held"] or p["std"] is None
     for c in found["channels"].values():
         assert set(c) == {"unit", "noise", "before", "after"}
+
+
+def with_test_logs() -> Outcome:
+    """An outcome with test logs, on which the force is worse than in validation."""
+    F = replace(explained().channels["F"], validate=Errors(31.0, 2.6), after=4.0)
+    return replace(
+        explained(), test_logs=("third.csv",), channels=explained().channels | {"F": F}
+    )
+
+
+def test_errors_of_test_logs_stand_first_and_validation_s_beside_them(tmp_path):
+    write.write_report(with_test_logs(), tmp_path)
+    found = json.loads((tmp_path / "report.json").read_text())
+    assert found["logs"]["test"] == ["third.csv"]
+    assert found["channels"]["F"]["after"] == 4.0
+    assert found["channels"]["F"]["validate"] == {"before": 31.0, "after": 2.6}
+    said = Page((tmp_path / "report.html").read_text()).said
+    assert "RMS of measured minus replayed on the test logs" in said
+    assert "Test, in no decision third.csv" in said
+    assert "31 N → 2.6 N" in said
 
 
 def test_json_has_null_for_what_is_no_number(written):

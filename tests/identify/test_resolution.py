@@ -16,7 +16,7 @@ import pytest
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.preparation.noise import SensorNoise, sensor_noise_of
-from hydrojax.logs.log import read_log
+from hydrojax.logs.log import Log
 from tests import generator
 
 TIME = np.arange(12_000) * 1e-3
@@ -82,7 +82,7 @@ def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
     case = coarse_case(tmp_path, monkeypatch, 23)
     np.testing.assert_array_equal(case.fit.noise, [9e3, 9e3, 2.5])
     assert not any("the position is known to" in note for note in case.fit.notes)
-    raw = read_log(tmp_path / "fit_1.csv")
+    raw = Log.load(tmp_path / "fit_1.csv")
     np.testing.assert_array_equal(case.fit_logs[0].signals["psi"], raw.signals["psi"])
 
 

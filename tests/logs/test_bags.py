@@ -18,7 +18,8 @@ import pytest
 import hydrojax
 from hydrojax.errors import InputError
 from hydrojax.identify.preparation.data import prepare
-from hydrojax.logs.log import Channel, Log, read_log
+from hydrojax.logs.log import Log
+from hydrojax.logs.signals import Channel
 from hydrojax.rigfile.schema import RigFile
 
 pytest.importorskip("mcap")
@@ -189,7 +190,7 @@ def short() -> dict[str, Topic]:
 
 def refusal(path: Path, channels: dict[str, Channel], *words: str) -> str:
     with pytest.raises(InputError) as caught:
-        read_log(path, channels)
+        Log.load(path, channels)
     line = str(caught.value)
     assert "\n" not in line
     assert len(line) < 500
@@ -205,8 +206,8 @@ def refusal(path: Path, channels: dict[str, Channel], *words: str) -> str:
 def test_a_copy_gives_the_same_log(tmp_path, short, kind):
     csv = tmp_path / "log.csv"
     pd.read_csv(DEMO / "fit_1.csv.gz", nrows=1200).to_csv(csv, index=False)
-    plain = read_log(csv)
-    log = read_log(write(tmp_path, kind, short), CHANNELS)
+    plain = Log.load(csv)
+    log = Log.load(write(tmp_path, kind, short), CHANNELS)
     np.testing.assert_array_equal(log.time, plain.time)
     assert log.signals.keys() == plain.signals.keys()
     for name, values in plain.signals.items():
@@ -225,7 +226,7 @@ def test_a_copy_gives_the_same_windows(tmp_path):
     """End to end: what the replay runs on, from an MCAP copy and from the CSV."""
     spec = RigFile.load(DEMO / "rig.toml")
     path = write_json(tmp_path / "fit_1.mcap", demo_topics())
-    given = [read_log(DEMO / "fit_1.csv.gz"), read_log(path, CHANNELS)]
+    given = [Log.load(DEMO / "fit_1.csv.gz"), Log.load(path, CHANNELS)]
     plain, mine = (prepare([log], spec) for log in given)
     for part in ("windows", "motion"):
         one, other = getattr(plain, part), getattr(mine, part)
@@ -238,8 +239,8 @@ def test_a_copy_gives_the_same_windows(tmp_path):
 @pytest.mark.parametrize("packed", [CompressionMode.FILE, CompressionMode.MESSAGE])
 def test_compressed_bags(tmp_path, short, plugin, packed):
     bag = write_bag(tmp_path / "run", short, plugin, packed)
-    plain = read_log(write_json(tmp_path / "same.mcap", short), CHANNELS)
-    log = read_log(bag, CHANNELS)
+    plain = Log.load(write_json(tmp_path / "same.mcap", short), CHANNELS)
+    log = Log.load(bag, CHANNELS)
     for name, values in plain.signals.items():
         np.testing.assert_array_equal(log.signals[name], values)
 
@@ -251,22 +252,22 @@ def test_a_bag_without_descriptions(tmp_path, short):
         base.execute("DELETE FROM message_definitions")
         base.commit()
     own = {"F": CHANNELS["F"], "psi": CHANNELS["psi"]}
-    log = read_log(bag, own)
+    log = Log.load(bag, own)
     np.testing.assert_allclose(log.signals["F"], 1e3 * short["/load_cell"].values[:, 0])
     refusal(bag, CHANNELS, "'rig_msgs/msg/Command' cannot be decoded")
 
 
 def test_topics_left_alone_are_listed(tmp_path, short):
     channels = {k: v for k, v in CHANNELS.items() if k != "F"}
-    log = read_log(write(tmp_path, "mcap", short), channels)
+    log = Log.load(write(tmp_path, "mcap", short), channels)
     assert log.ignored == ("/load_cell",)
     assert "F" not in log.signals
 
 
 def test_a_sign_is_turned_and_an_index_reached(tmp_path, short):
-    plain = read_log(write(tmp_path, "json", short), CHANNELS)
+    plain = Log.load(write(tmp_path, "json", short), CHANNELS)
     turned = CHANNELS["psi"].model_copy(update={"invert": True})
-    log = read_log(tmp_path / "run.mcap", CHANNELS | {"psi": turned})
+    log = Log.load(tmp_path / "run.mcap", CHANNELS | {"psi": turned})
     np.testing.assert_array_equal(log.signals["psi"], -plain.signals["psi"])
     assert not np.array_equal(log.signals["P_a1"], log.signals["P_a2"])
 
@@ -321,7 +322,7 @@ OWN = {k: v for k, v in CHANNELS.items() if k != "F_d"}
 @pytest.fixture(scope="module")
 def apart(tmp_path_factory) -> tuple[Path, Log]:
     path = write_json(tmp_path_factory.mktemp("own") / "run.mcap", own_clocks())
-    return path, read_log(path, OWN)
+    return path, Log.load(path, OWN)
 
 
 def test_channels_come_at_the_commands_ticks(apart):
@@ -355,8 +356,8 @@ def test_a_clock_since_power_on_is_brought_to_the_others(tmp_path, short):
     topics = dict(short)
     own = topics["/pressures"]
     topics["/pressures"] = own._replace(stamp=own.stamp - START + 77_000_000_000)
-    log = read_log(write_json(tmp_path / "run.mcap", topics), CHANNELS)
-    plain = read_log(write_json(tmp_path / "same.mcap", short), CHANNELS)
+    log = Log.load(write_json(tmp_path / "run.mcap", topics), CHANNELS)
+    plain = Log.load(write_json(tmp_path / "same.mcap", short), CHANNELS)
     for name in ("P_a1", "P_s"):
         np.testing.assert_allclose(log.signals[name], plain.signals[name], rtol=1e-9)
     assert any("off the recorder's" in note for note in log.notes)
@@ -366,8 +367,8 @@ def test_a_later_channel_is_said_and_left(tmp_path, short):
     topics = dict(short)
     own = topics["/load_cell"]
     topics["/load_cell"] = own._replace(received=own.received + 5_000_000)
-    log = read_log(write_json(tmp_path / "run.mcap", topics), CHANNELS)
-    plain = read_log(write_json(tmp_path / "same.mcap", short), CHANNELS)
+    log = Log.load(write_json(tmp_path / "run.mcap", topics), CHANNELS)
+    plain = Log.load(write_json(tmp_path / "same.mcap", short), CHANNELS)
     np.testing.assert_array_equal(log.signals["F"], plain.signals["F"])
     said = next(n for n in log.notes if n.startswith("/load_cell: comes at least"))
     assert "+5 ms later than /valve/command" in said
@@ -379,7 +380,7 @@ def test_a_gap_stays_a_gap(tmp_path, short):
     topics, own = dict(short), short["/pressures"]
     kept = np.r_[0:550, 650:1200]
     topics["/pressures"] = Topic(own.stamp[kept], own.received[kept], own.values[kept])
-    log = read_log(write_json(tmp_path / "run.mcap", topics), CHANNELS)
+    log = Log.load(write_json(tmp_path / "run.mcap", topics), CHANNELS)
     holes = np.isnan(log.signals["P_a1"])
     np.testing.assert_array_equal(np.flatnonzero(holes), np.arange(550, 650))
     assert log.segments == ((0, 550), (650, 1200))
@@ -390,7 +391,7 @@ def test_one_lost_message_costs_one_row(tmp_path, short):
     topics, own = dict(short), short["/load_cell"]
     kept = np.delete(np.arange(1200), [300, 700])
     topics["/load_cell"] = Topic(own.stamp[kept], own.received[kept], own.values[kept])
-    log = read_log(write_json(tmp_path / "run.mcap", topics), CHANNELS)
+    log = Log.load(write_json(tmp_path / "run.mcap", topics), CHANNELS)
     assert len(log.time) == 1198
     assert log.segments == ((0, 1198),)
     assert any("message is lost: 2" in note for note in log.notes)
@@ -403,8 +404,8 @@ def test_out_of_order_and_repeated_messages(tmp_path, short):
     order = np.insert(order, 900, 900)
     received = own.received[0] + 1_000_000 * np.arange(len(order))
     topics["/pressures"] = Topic(own.stamp[order], received, own.values[order])
-    log = read_log(write_json(tmp_path / "run.mcap", topics), CHANNELS)
-    plain = read_log(write_json(tmp_path / "same.mcap", short), CHANNELS)
+    log = Log.load(write_json(tmp_path / "run.mcap", topics), CHANNELS)
+    plain = Log.load(write_json(tmp_path / "same.mcap", short), CHANNELS)
     np.testing.assert_allclose(log.signals["P_a1"], plain.signals["P_a1"], rtol=1e-12)
     assert "/pressures: messages out of order, sorted: 1" in log.notes
     assert "/pressures: messages of equal stamp, merged: 1" in log.notes
@@ -419,11 +420,11 @@ def test_which_time_is_taken(tmp_path, short):
         stamp=none, received=own.received + 3_000_000, published=own.received
     )
     topics["/joint_states"] = late._replace(stamp=none)
-    log = read_log(write_json(tmp_path / "run.mcap", topics), CHANNELS)
+    log = Log.load(write_json(tmp_path / "run.mcap", topics), CHANNELS)
     notes = "; ".join(log.notes)
     assert "/load_cell (F): times are by publish time" in notes
     assert "/joint_states (psi): times are the log's" in notes
-    plain = read_log(write_json(tmp_path / "same.mcap", short), CHANNELS)
+    plain = Log.load(write_json(tmp_path / "same.mcap", short), CHANNELS)
     np.testing.assert_array_equal(log.signals["F"], plain.signals["F"])
 
 
@@ -571,7 +572,7 @@ def test_the_pages_channels_read_a_bag(tmp_path, short):
     given = next(t["channels"] for t in tables if "/pressures" in str(t))
     channels = {name: Channel(**entry) for name, entry in given.items()}
     assert channels == {k: CHANNELS[k] for k in channels}
-    log = read_log(write(tmp_path, "mcap folder", short), channels)
+    log = Log.load(write(tmp_path, "mcap folder", short), channels)
     assert set(log.signals) == set(channels)
 
 
@@ -589,7 +590,7 @@ def test_the_pages_python_writes_a_log(tmp_path, monkeypatch):
     (code,) = blocks("python")
     exec(compile(code, str(PAGE), "exec"), {})
     (path,) = tmp_path.glob("*.csv")
-    log = read_log(path)
+    log = Log.load(path)
     assert {"u", "x", "P_a1", "P_a2", "F"} <= set(log.signals)
 
 
@@ -609,5 +610,5 @@ def test_idl_described_messages_are_read(tmp_path):
             data = bytes(store.serialize_cdr(store.types[kind](float(v)), kind))
             writer.add_message(at, START + 10**6 * i, data, START + 10**6 * i)
         writer.finish()
-    log = read_log(path, {"u": Channel(column="/u.data", unit="V")})
+    log = Log.load(path, {"u": Channel(column="/u.data", unit="V")})
     np.testing.assert_array_equal(log.signals["u"], values)

@@ -13,7 +13,8 @@ import scipy.io
 
 from hydrojax import units
 from hydrojax.errors import InputError
-from hydrojax.logs.log import Channel, Log, read_log
+from hydrojax.logs.log import Log
+from hydrojax.logs.signals import Channel
 
 
 def a_run(rows: int = 2000, step: float = 0.001) -> dict[str, np.ndarray]:
@@ -40,7 +41,7 @@ def write(path: Path, columns: dict) -> Path:
 def refusal(path: Path, *words: str, **options) -> str:
     """The one line with which the log is refused."""
     with pytest.raises(InputError) as caught:
-        read_log(path, **options)
+        Log.load(path, **options)
     line = str(caught.value)
     assert "\n" not in line
     for word in (path.name, *words):
@@ -81,7 +82,7 @@ def test_a_value_that_no_sensor_gives_is_refused_at_its_row(tmp_path: Path) -> N
 
 def test_csv_in_si(tmp_path: Path) -> None:
     run = a_run()
-    log = read_log(write(tmp_path / "log.csv", run))
+    log = Log.load(write(tmp_path / "log.csv", run))
     assert log.name == "log.csv"
     np.testing.assert_allclose(log.signals["P_a1"], 1e5 * run["P_a1 [bar]"])
     np.testing.assert_allclose(log.signals["F"], 1e3 * run["F [kN]"])
@@ -97,30 +98,30 @@ def test_csv_in_si(tmp_path: Path) -> None:
 def test_time_in_ms_keeps_its_start(tmp_path: Path) -> None:
     run = a_run()
     time = run.pop("time [s]")
-    log = read_log(write(tmp_path / "log.csv", {"time [ms]": 7e3 + 1e3 * time, **run}))
+    log = Log.load(write(tmp_path / "log.csv", {"time [ms]": 7e3 + 1e3 * time, **run}))
     np.testing.assert_allclose(log.time, 7.0 + time, atol=1e-9)
 
 
 def test_spaces_byte_order_mark_and_blank_tail(tmp_path: Path) -> None:
-    plain = read_log(edited(tmp_path))
+    plain = Log.load(edited(tmp_path))
     text = (tmp_path / "log.csv").read_text()
     header, body = text.split("\n", 1)
     header = header.replace(",", " , ").replace(" [", "   [ ")
     path = tmp_path / "odd.csv"
     path.write_text(f"\ufeff {header}\n{body.replace(',', ', ')}\n\n", "utf-8")
-    same(plain, read_log(path))
+    same(plain, Log.load(path))
 
 
 @pytest.mark.parametrize("ending", ["csv.gz", "parquet", "CSV"])
 def test_other_tables(tmp_path: Path, ending: str) -> None:
-    plain = read_log(edited(tmp_path))
+    plain = Log.load(edited(tmp_path))
     path = tmp_path / f"run.{ending}"
     frame = pd.DataFrame(a_run())
     if ending == "parquet":
         frame.set_index("time [s]").to_parquet(path)
     else:
         frame.to_csv(path, index=False)
-    same(plain, read_log(path))
+    same(plain, Log.load(path))
 
 
 def vectors() -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -132,7 +133,7 @@ def vectors() -> tuple[dict[str, np.ndarray], dict[str, str]]:
 
 @pytest.mark.parametrize("form", ["units", "suffix", "log", "column"])
 def test_mat_v5(tmp_path: Path, form: str) -> None:
-    plain = read_log(edited(tmp_path))
+    plain = Log.load(edited(tmp_path))
     values, said = vectors()
     tree: dict = dict(values)
     if form == "suffix":
@@ -143,12 +144,12 @@ def test_mat_v5(tmp_path: Path, form: str) -> None:
         tree["units"] = said
     kind = "column" if form == "column" else "row"
     scipy.io.savemat(tmp_path / "log.mat", tree, oned_as=kind)
-    same(plain, read_log(tmp_path / "log.mat"))
+    same(plain, Log.load(tmp_path / "log.mat"))
 
 
 @pytest.mark.parametrize("form", ["units", "suffix", "log"])
 def test_mat_v7_3(tmp_path: Path, form: str) -> None:
-    plain = read_log(edited(tmp_path))
+    plain = Log.load(edited(tmp_path))
     values, said = vectors()
     path = tmp_path / "log.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -160,7 +161,7 @@ def test_mat_v7_3(tmp_path: Path, form: str) -> None:
             key = f"{name}_unit" if form == "suffix" else name
             place[key] = np.array([[ord(c)] for c in unit], dtype=np.uint16)
             place[key].attrs["MATLAB_class"] = np.bytes_("char")
-    log = read_log(path)
+    log = Log.load(path)
     same(plain, log)
     assert log.ignored == ()
 
@@ -173,7 +174,7 @@ def test_channels_rename_give_a_unit_and_invert(tmp_path: Path) -> None:
         "u": Channel(column="MainU", unit="1", invert=True),
         "F": Channel(column="F [kN]", unit="N"),
     }
-    log = read_log(path, channels)
+    log = Log.load(path, channels)
     np.testing.assert_allclose(log.signals["u"], -run["MainU"])
     np.testing.assert_allclose(log.signals["F"], run["F [kN]"])
     assert log.units["u"] == "1"
@@ -187,14 +188,14 @@ def test_channels_rename_give_a_unit_and_invert(tmp_path: Path) -> None:
     [("mV", "V", 1e-3), ("%", "1", 0.01), ("1", "1", 1.0), ("-", "1", 1.0)],
 )
 def test_command_units(tmp_path: Path, unit: str, si: str, factor: float) -> None:
-    log = read_log(edited(tmp_path, u=f"u [{unit}]"))
+    log = Log.load(edited(tmp_path, u=f"u [{unit}]"))
     assert log.units["u"] == si
     np.testing.assert_allclose(log.signals["u"], factor * a_run()["u [V]"])
 
 
 def test_supply_return_velocity_and_desired_force_may_rest(tmp_path: Path) -> None:
     rest = {k: np.ones(2000) for k in ("P_r [bar]", "v [m/s]", "F_d [N]")}
-    log = read_log(write(tmp_path / "log.csv", a_run() | rest))
+    log = Log.load(write(tmp_path / "log.csv", a_run() | rest))
     assert len([note for note in log.notes if "constant" in note]) == 4
 
 
@@ -204,7 +205,7 @@ def test_supply_return_velocity_and_desired_force_may_rest(tmp_path: Path) -> No
 def test_nan_and_inf_cut(tmp_path: Path) -> None:
     force = a_run()["F [kN]"]
     force[700:710], force[1400:1402] = np.nan, np.inf
-    log = read_log(edited(tmp_path, F=force))
+    log = Log.load(edited(tmp_path, F=force))
     assert log.segments == ((0, 700), (710, 1400), (1402, 2000))
     assert np.isnan(log.signals["F"][[700, 709, 1400]]).all()
     assert any("F is missing: 12" in note for note in log.notes)
@@ -217,7 +218,7 @@ def test_a_lone_hole_costs_its_row(tmp_path: Path) -> None:
     force, pressure, time = (run[n] for n in ("F [kN]", "P_a1 [bar]", "time [s]"))
     force[[300, 1400]], pressure[[301, 900]] = np.nan, np.nan
     time[1400:] += 0.6e-3
-    log = read_log(edited(tmp_path, F=force, P_a1=pressure, time=time))
+    log = Log.load(edited(tmp_path, F=force, P_a1=pressure, time=time))
     u = run["u [V]"]
     whole = np.delete(np.arange(2000), 900)
     np.testing.assert_array_equal(log.time, time[whole])
@@ -233,14 +234,14 @@ def test_a_lone_hole_costs_its_row(tmp_path: Path) -> None:
 def test_a_log_of_nothing_but_what_is_desired(tmp_path: Path) -> None:
     run = a_run()
     both = {"time [s]": run["time [s]"], "F_d [N]": 1e3 * run["F [kN]"]}
-    assert read_log(write(tmp_path / "log.csv", both)).segments == ((0, 2000),)
+    assert Log.load(write(tmp_path / "log.csv", both)).segments == ((0, 2000),)
 
 
 def test_desired_force_and_ignored_columns_do_not_cut(tmp_path: Path) -> None:
     holes = a_run()["F [kN]"]
     holes[900] = np.nan
     run = a_run() | {"F_d [N]": holes, "other [N]": holes, "name": ["ü"] * 2000}
-    assert read_log(write(tmp_path / "log.csv", run)).segments == ((0, 2000),)
+    assert Log.load(write(tmp_path / "log.csv", run)).segments == ((0, 2000),)
 
 
 def test_gap_in_time_cuts_and_short_pieces_go(tmp_path: Path) -> None:
@@ -249,11 +250,11 @@ def test_gap_in_time_cuts_and_short_pieces_go(tmp_path: Path) -> None:
     time[1200:] += 0.0014  # a step of 2.4 ms is none
     time[1700:] += 1.0
     path = edited(tmp_path, time=time)
-    log = read_log(path)
+    log = Log.load(path)
     assert log.segments == ((0, 800), (800, 1700))
     assert any("gaps in time: 2, the longest 1" in note for note in log.notes)
     assert any("under 0.5 s: 300" in note for note in log.notes)
-    assert len(read_log(path, shortest=0.2).segments) == 3
+    assert len(Log.load(path, shortest=0.2).segments) == 3
 
 
 def test_no_segment_left(tmp_path: Path) -> None:
@@ -270,7 +271,7 @@ def coarse_run(seed: int = 0) -> dict[str, np.ndarray]:
 
 def test_coarse_clock_is_averaged(tmp_path: Path) -> None:
     run = coarse_run()
-    log = read_log(write(tmp_path / "log.csv", run))
+    log = Log.load(write(tmp_path / "log.csv", run))
     time = run["time [s]"]
     assert 0.01 < np.mean(np.diff(time) == 0.0) < 0.2
     assert log.merged == 3000 - len(np.unique(time)) > 0
@@ -295,7 +296,7 @@ def test_even_clock_may_not_repeat(tmp_path: Path) -> None:
 def test_fine_uneven_clock_may_not_repeat(tmp_path: Path) -> None:
     run = coarse_run()
     time = np.cumsum(0.01 * np.random.default_rng(1).uniform(0.5, 1.5, 3000))
-    assert read_log(write(tmp_path / "a.csv", run | {"time [s]": time})).merged == 0
+    assert Log.load(write(tmp_path / "a.csv", run | {"time [s]": time})).merged == 0
     time[50] = time[49]
     refusal(write(tmp_path / "b.csv", run | {"time [s]": time}), "row 51 (line 52)")
 
@@ -456,7 +457,7 @@ def test_mat_unit_from_the_rig_file(tmp_path: Path) -> None:
         "time": Channel(column="time", unit="s"),
         "psi": Channel(column="psi", unit="deg"),
     }
-    log = read_log(path, channels)
+    log = Log.load(path, channels)
     np.testing.assert_allclose(log.signals["psi"], np.deg2rad(values["psi"]))
     assert log.ignored == ("q",)
 
@@ -534,3 +535,25 @@ def test_array_to_si() -> None:
 def test_with_command(unit: str, volts: str, plain: str) -> None:
     assert units.with_command(unit, "V") == volts
     assert units.with_command(unit, "1") == plain
+
+
+def test_a_table_is_read_as_a_file_is(tmp_path):
+    frame = pd.DataFrame(a_run())
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    one, other = Log.load(tmp_path / "log.csv"), Log.from_frame(frame)
+    for name, values in one.signals.items():
+        np.testing.assert_allclose(other.signals[name], values, rtol=1e-12)
+    assert (one.units, one.segments) == (other.units, other.segments)
+
+
+def test_a_table_has_its_units_beside_it_and_comes_back():
+    plain = pd.DataFrame({k.split(" ")[0]: v for k, v in a_run().items()})
+    units_of = {k.split(" ")[0]: k.split("[")[1][:-1] for k in a_run() if "[" in k}
+    log = Log.from_frame(plain.set_index("time"), units=units_of)
+    again = Log.from_frame(log.to_frame())
+    np.testing.assert_array_equal(again.time, log.time)
+    np.testing.assert_allclose(log.signals["P_a1"], 1e5 * plain["P_a1"])
+    for name, values in log.signals.items():
+        np.testing.assert_array_equal(again.signals[name], values)
+    with pytest.raises(InputError, match="'P_a1' has no unit"):
+        Log.from_frame(plain, units={k: u for k, u in units_of.items() if k != "P_a1"})

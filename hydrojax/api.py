@@ -1,0 +1,92 @@
+"""Identification and trace: rig and logs in, a `Result` out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from hydrojax.identify import api
+from hydrojax.identify.case import Case, LogSource, RigSource, open_case
+from hydrojax.identify.result import Result
+from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.jax_setup import ensure_jax
+
+Progress = Callable[[str], None]
+"""Is called with a line of text at each stage."""
+
+
+def fit(
+    rig: RigSource,
+    logs: Sequence[LogSource],
+    validate: Sequence[LogSource] = (),
+    test: Sequence[LogSource] = (),
+    *,
+    criteria: Criteria = Criteria(),
+    horizon: float = 0.25,
+    starts: int = 4,
+    profile: bool = False,
+    progress: Progress = lambda _: None,
+) -> Result:
+    """Fit the declared model to logs.
+
+    Args:
+        rig: a `RigFile`, or the path of one; what has a range in it is fitted.
+        logs: to be fitted: each a `Log`, a path, or a DataFrame (`Log.from_frame`).
+        validate: logs that take no part in the fit; errors and verdict are theirs.
+            Without any they are those of the fitted logs.
+        test: logs that take part in no decision; errors are then theirs.
+        criteria: the thresholds by which it is decided.
+        horizon: length of a replay window, s.
+        starts: number of starts of the fit.
+        profile: 95 % intervals by profile likelihood too: many refits.
+        progress: is called with a line of text at each stage.
+
+    Raises:
+        InputError: whatever is wrong with rig or logs, in one line.
+    """
+    case = _opened(rig, logs, validate, test, horizon, criteria)
+    return Result(api.identify(case, starts, progress, profile), case)
+
+
+def trace(
+    rig: RigSource,
+    logs: Sequence[LogSource],
+    validate: Sequence[LogSource],
+    test: Sequence[LogSource] = (),
+    *,
+    criteria: Criteria = Criteria(),
+    horizon: float = 0.25,
+    starts: int = 1,
+    profile: bool = False,
+    progress: Progress = lambda _: None,
+) -> Result:
+    """Find the effects behind the residual: fit, score, refit, validate, and again.
+
+    Args:
+        rig: a `RigFile`, or the path of one; what has a range in it is fitted.
+        logs: to be fitted: each a `Log`, a path, or a DataFrame (`Log.from_frame`).
+        validate: logs that take no part in the fit, on which effects are judged.
+        test: logs that take part in no decision; errors are then theirs.
+        criteria: the thresholds by which it is decided.
+        horizon: length of a replay window, s.
+        starts: number of starts of the first fit.
+        profile: 95 % intervals by profile likelihood too: many refits.
+        progress: is called with a line of text at each stage.
+
+    Raises:
+        InputError: whatever is wrong with rig or logs, in one line.
+    """
+    case = _opened(rig, logs, validate, test, horizon, criteria)
+    return Result(api.trace_case(case, starts, progress, profile), case)
+
+
+def _opened(
+    rig: RigSource,
+    logs: Sequence[LogSource],
+    validate: Sequence[LogSource],
+    test: Sequence[LogSource],
+    horizon: float,
+    criteria: Criteria,
+) -> Case:
+    """The case, once JAX is in double precision."""
+    ensure_jax()
+    return open_case(rig, logs, validate, test, horizon=horizon, criteria=criteria)

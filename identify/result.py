@@ -1,0 +1,200 @@
+"""The result of an identification or a trace: tables, model and predictions."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from hydrojax.identify.case import Case, LogSource, read
+from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.preparation.noise import CHANNELS
+from hydrojax.identify.report.figures import every_parameter, judged
+from hydrojax.identify.report.write import write_report
+from hydrojax.identify.results import show
+from hydrojax.identify.results.outcome import Effect, Outcome
+from hydrojax.plant.named import get, parameter_specs, put
+from hydrojax.plant.rig import Rig
+from hydrojax.rigfile.build import build_rig
+from hydrojax.rigfile.schema import RigFile
+
+
+@dataclass(frozen=True, repr=False)
+class Result:
+    """What `fit` or `trace` found.
+
+    Attributes:
+        outcome: all of it as plain data, which report.json holds.
+        case: the rig and the logs that it was found with.
+    """
+
+    outcome: Outcome
+    case: Case
+
+    @property
+    def verdict(self) -> str:
+        """One of "nothing missing", "explained" and "unknown"."""
+        return self.outcome.verdict
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects that the model lacked, in the order in which they were found."""
+        return self.outcome.effects
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """One row a parameter, by name; an effect's are `effect.parameter`.
+
+        Columns: `value`, `std` (NaN where none is given), `low` and `high` (95 %
+        interval), `unit` (of these four, SI), `identified`, `free` (whether it was
+        fitted), `at_bound` (whether it hit a limit of its range).
+        """
+        none = (np.nan, np.nan)
+        rows = {
+            name: {
+                "value": p.value,
+                "std": np.nan if p.std is None else p.std,
+                "low": (p.interval or none)[0],
+                "high": (p.interval or none)[1],
+                "unit": p.unit,
+                "identified": p.identified,
+                "free": p.free,
+                "at_bound": p.at_bound,
+            }
+            for name, p in every_parameter(self.outcome).items()
+        }
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
+
+    @cached_property
+    def channels(self) -> pd.DataFrame:
+        """One row a compared channel: errors are RMS, SI.
+
+        Columns: `unit`, `noise` (standard deviation), `before` (with the declared
+        model), `after` (with the final one), `ratio` (`after` over `noise`). They are
+        of the test logs where there are any, with `validate_before` and
+        `validate_after` beside them; else of the validation logs.
+        """
+        rows = {}
+        for name, c in self.outcome.channels.items():
+            rows[name] = {
+                "unit": c.unit,
+                "noise": c.noise,
+                "before": c.before,
+                "after": c.after,
+                "ratio": c.after / c.noise,
+            }
+            if c.validate is not None:
+                rows[name]["validate_before"] = c.validate.before
+                rows[name]["validate_after"] = c.validate.after
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
+
+    @cached_property
+    def rig(self) -> RigFile:
+        """The rig file with the found values, and with the effects found."""
+        return RigFile.from_text(self.outcome.rig_file, self.case.spec.path)
+
+    @cached_property
+    def model(self) -> Rig:
+        """The identified rig: a pytree, exactly as it was fitted."""
+        rig = build_rig(self.case.spec, [e.name for e in self.effects])
+        names = tuple(parameter_specs(rig))
+        own = np.asarray(get(rig, names)).tolist()
+        found = self.outcome.values
+        at = [found.get(n, v) for n, v in zip(names, own, strict=True)]
+        return put(rig, names, np.array(at))
+
+    def predict(self, log: LogSource) -> pd.DataFrame:
+        """Replay a log in the identified rig, in windows as the fit does.
+
+        Args:
+            log: a log of the same signals, from anywhere.
+
+        Returns:
+            One row a compared tick: `time` (s since the log began), then for each
+            channel its prediction under its name and `NAME_measured`, SI. The first
+            second of a log, and what does not fill a window, is not in it.
+
+        Raises:
+            InputError: see `open_case`.
+        """
+        data = self.case.preparation.data([read(log, self.case.spec)])
+        problem = Problem.of(self.model, {}, data, self.case.criteria)
+        values = np.asarray(problem.model.values)
+        left = problem.residuals_at(values)
+        measured = np.asarray(data.windows.measured)
+        t = np.asarray(data.windows.t)[:, -measured.shape[1] :]
+        out = {"time": t.ravel()}
+        for c, name in enumerate(CHANNELS):
+            if np.isfinite(data.noise[c]):
+                out[name] = (measured - left)[..., c].ravel()
+                out[f"{name}_measured"] = measured[..., c].ravel()
+        return pd.DataFrame(out)
+
+    def summary(self) -> str:
+        """The verdict, the channels, the effects and the fitted parameters as text."""
+        o = self.outcome
+        title = f"hydrojax {o.command}: {o.rig}"
+        logs = {"fit": o.fit_logs, "validation": o.validate_logs, "test": o.test_logs}
+        used = [f"{kind}: {', '.join(names)}" for kind, names in logs.items() if names]
+        fitted = self.parameters.loc[lambda rows: rows["free"]].drop(columns="free")
+        found = [
+            f"{e.name}: p = {e.p_value:.2g}"
+            + (f", not distinguishable from {', '.join(e.cannot_tell_from)}"
+               if e.cannot_tell_from else "")
+            for e in o.effects
+        ]  # fmt: skip
+        parts = [
+            [title],
+            [f"verdict: {o.verdict}", o.sentence, *used],
+            [f"RMS errors on the {judged(o)} logs", _table(self.channels)],
+            ["effects", *found] if found else [],
+            [_table(fitted)],
+            [f"- {line}" for line in (*o.limits, *o.notes)],
+        ]
+        width = max(len(line) for line in parts[4][0].splitlines())
+        rule = "\n" + "-" * width + "\n"
+        return rule.join(_wrapped(part, width) for part in parts if part) + "\n"
+
+    def plot(self, picture: str | None = None) -> Figure:
+        """The most telling picture, or one of those of the report by its name.
+
+        Raises:
+            InputError: no such picture, or nothing to show in it.
+        """
+        return show.plot(self.outcome, picture)
+
+    def save(self, folder: str | Path) -> None:
+        """Write report.json, report.html, its figures and rig.toml into a folder.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        write_report(self.outcome, Path(folder))
+
+    def __repr__(self) -> str:
+        o = self.outcome
+        found = ", ".join(e.name for e in o.effects)
+        effects = f", effects: {found}" if found else ""
+        fitted = sum(p.free for p in every_parameter(o).values())
+        return f"<{o.command} of {o.rig!r}: {o.verdict}{effects}, {fitted} parameters>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        return show.html(self.outcome)
+
+
+def _wrapped(lines: list[str], width: int) -> str:
+    """Lines of text under each other, none past `width`; tables as they are."""
+    return "\n".join(
+        text if "\n" in text else textwrap.fill(text, width) for text in lines
+    )
+
+
+def _table(frame: pd.DataFrame) -> str:
+    """A table as text, five figures a number."""
+    return frame.to_string(float_format=lambda v: f"{v:.5g}", na_rep="-")
