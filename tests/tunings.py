@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrojax.paper.experiments import reference
+from hydrojax.paper.records import reference
 from hydrojax.tune.limiting import Relaxed
 from hydrojax.tune.objective import Limits
 from hydrojax.tune.optimize import Optimum

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def _best(data: xr.Dataset) -> list[tuple[str, xr.Dataset | None]]:
     """By each way the cell that is widest within 1 dB; None where none is stable."""
-    from hydrojax.tune.plots import axes_of, methods_of, nominal
+    from hydrojax.tune.selection import axes_of, methods_of, nominal
 
     flat, out = nominal(data), []
     for way in methods_of(data):
@@ -27,7 +27,7 @@ def _best(data: xr.Dataset) -> list[tuple[str, xr.Dataset | None]]:
 
 def sentences(data: xr.Dataset) -> list[str]:
     """The result of a sweep in words, one line for each way."""
-    from hydrojax.tune.plots import axes_of
+    from hydrojax.tune.selection import axes_of
 
     said = []
     for way, best in _best(data):
@@ -67,16 +67,16 @@ class Swept:
         Raises:
             InputError: no sweep, no axis left of it, or no such quantity.
         """
-        from hydrojax.tune import plots
+        from hydrojax.tune import maps, plots, selection
 
         self._check(quantity)
-        data = plots.spread(self.data)
-        if len(plots.axes_of(data)) > 1:
-            return plots.map_figure(data, quantity)
+        data = selection.spread(self.data)
+        if len(selection.axes_of(data)) > 1:
+            return maps.map_figure(data, quantity)
         return plots.line_figure(data)
 
     def _check(self, quantity: str) -> None:
-        from hydrojax.tune.plots import axes_of
+        from hydrojax.tune.selection import axes_of
 
         ways = self.data.attrs.get("methods", "").split()
         if not any(f"{way}_within_1dB" in self.data for way in ways):
@@ -100,7 +100,7 @@ class Swept:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the result in words, and the axes."""
-        from hydrojax.tune.plots import axes_of
+        from hydrojax.tune.selection import axes_of
 
         axes = [_axis(self.data[name]) for name in axes_of(self.data)]
         return markup.block(

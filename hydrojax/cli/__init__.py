@@ -1,4 +1,4 @@
-"""The command line: the roof over the whole house."""
+"""The command line."""
 
 from __future__ import annotations
 
@@ -23,10 +23,15 @@ def _version(wanted: bool) -> None:
 def options(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Say it."),
+        typer.Option(
+            "--version",
+            callback=_version,
+            is_eager=True,
+            help="Show the version and exit.",
+        ),
     ] = False,
 ) -> None:
-    """What holds for every command."""
+    """Options of every command."""
 
 
 SEVERAL = (

@@ -48,7 +48,9 @@ def batch(
     starts: Annotated[
         int,
         typer.Option(
-            help="Fits from so many starts.", min=0, show_default="the command's own"
+            help="Number of starts of each fit.",
+            min=0,
+            show_default="the command's own",
         ),
     ] = 0,
     matters: Matters = 0.02,
@@ -59,11 +61,11 @@ def batch(
     """Identify or trace a fleet of logs; one table and one report over all of them.
 
     Run again, a fleet that was stopped goes on where it was, and one that is done does
-    nothing. A log that will not do fails alone.
+    nothing. A bad log fails on its own; the rest continue.
     """
     check_out(out)
     if command not in ("identify", "trace"):
-        raise InputError(f"--command {command}: write identify or trace")
+        raise InputError(f"invalid --command {command!r}: expected identify or trace")
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax.workflows.fleet.run import Stopped, run_fleet

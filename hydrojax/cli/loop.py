@@ -46,7 +46,9 @@ def simulate(
         ),
     ] = "wander",
     seconds: Annotated[float, typer.Option(help="Length of the run, s.")] = 12.0,
-    seed: Annotated[int, typer.Option(help="Of noise and random course.", min=0)] = 0,
+    seed: Annotated[
+        int, typer.Option(help="Seed of noise and random motion.", min=0)
+    ] = 0,
     out: Annotated[
         Path, typer.Option(help="The log: CSV(.gz), Parquet or MAT.")
     ] = Path("hydrojax-simulate.csv"),
@@ -109,18 +111,20 @@ def excite(
     rig: RigPath,
     separate: Annotated[
         list[str] | None,
-        typer.Option(help="Two effects to be told apart: both words that follow."),
+        typer.Option(help="Two effects to distinguish: both words that follow."),
     ] = None,
-    force: Annotated[str, typer.Option(help="Most of the desired force.")] = "800 N",
-    speed: Annotated[str, typer.Option(help="Most of the speed.")] = "25 mm/s",
-    travel: Annotated[str, typer.Option(help="Most from mid-stroke.")] = "20 mm",
+    force: Annotated[str, typer.Option(help="Largest desired force.")] = "800 N",
+    speed: Annotated[str, typer.Option(help="Largest speed.")] = "25 mm/s",
+    travel: Annotated[
+        str, typer.Option(help="Largest distance from mid-stroke.")
+    ] = "20 mm",
     seconds: Annotated[float, typer.Option(help="Length.", min=1.0, max=60.0)] = 8.0,
     out: Annotated[
-        Path, typer.Option(help="The course: CSV(.gz), Parquet or MAT.")
+        Path, typer.Option(help="The reference and motion: CSV(.gz), Parquet or MAT.")
     ] = Path("hydrojax-excite.csv"),
     effects: Effects = None,
 ) -> None:
-    """Find the reference and motion that tell most of what is not identified."""
+    """Design the reference and motion that best identify what is not identified."""
     check_file(out)
     set_up_jax(user_cache())
     load_effects(effects)
@@ -170,7 +174,10 @@ def bounds(
     ] = None,
     out: Out = Path("hydrojax-bounds"),
     confidence: Annotated[
-        float, typer.Option(help="That the box holds.", min=0.5, max=0.999)
+        float,
+        typer.Option(
+            help="Confidence that the box holds the next fit.", min=0.5, max=0.999
+        ),
     ] = 0.95,
     stretch: Annotated[float, typer.Option(help="Length of a fit, s.", min=0.5)] = 2.0,
     effects: Effects = None,

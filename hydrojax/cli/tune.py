@@ -122,7 +122,10 @@ def tune(
     ] = None,
     at: At = None,
     adaptation: Annotated[
-        bool, typer.Option("--adaptation", help="Tune its rates and bounds after.")
+        bool,
+        typer.Option(
+            "--adaptation", help="Tune the rates and bounds of the adaptation too."
+        ),
     ] = False,
     ensemble: Annotated[
         int, typer.Option(help="Plants to tune for, the rig among them.", min=1)
@@ -136,13 +139,15 @@ def tune(
     ] = 6.0,
     noise: Annotated[
         float,
-        typer.Option(help="Command by noise, RMS, share of its range.", min=1e-6),
+        typer.Option(
+            help="Command due to noise, RMS, as a share of its range.", min=1e-6
+        ),
     ] = 0.01,
     tracking: Annotated[
         float,
         typer.Option(help="Tracking error, joint moving, relative to before.", min=0.1),
     ] = 3.0,
-    starts: Annotated[int, typer.Option(help="Descents.", min=1)] = 3,
+    starts: Annotated[int, typer.Option(help="Number of descents.", min=1)] = 3,
     effects: Effects = None,
     out: Out = Path("hydrojax-tune"),
 ) -> None:

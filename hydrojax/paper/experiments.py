@@ -1,10 +1,9 @@
-"""The reference rig, and the paper's experiments on it: Figs. 2 to 5."""
+"""The paper's experiments on the reference rig: Figs. 2 to 5."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from importlib import resources
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -17,8 +16,14 @@ from hydrojax.control import theory
 from hydrojax.control.inputs import band_noise, to_and_fro
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.control.simulation import Path, hold, make_scenario, simulate
-from hydrojax.plant.rig import Rig
-from hydrojax.rigfile.build import build_loop, build_rig
+from hydrojax.paper.records import (
+    Descent,
+    Experiments,
+    Response,
+    Track,
+    reference,
+)
+from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.schema import RigFile
 
 SECONDS, STEADY = 20.0, 4.0
@@ -63,64 +68,6 @@ ABLATION: Gains = {
 }  # fmt: skip
 """Velocity feedforward and force error alone, at the same sum of gains: what is left of
 the law without its friction model."""
-
-
-@dataclass(frozen=True)
-class Track:
-    """One case: what was asked for and what came, over time; SI. `rms` is steady."""
-
-    t: np.ndarray
-    desired: np.ndarray
-    actual: np.ndarray
-    rms: float
-
-
-@dataclass(frozen=True)
-class Response:
-    """|F/F_d| in dB by white noise, with its coherence, and by single sines.
-
-    `hertz` [n] are the sines' frequencies; `noise_hertz`, `noise_dB`, `coherence` [m]
-    the noise's. `alone_dB` [n] is of sines without the noise beneath them.
-    """
-
-    hertz: np.ndarray
-    sines_dB: np.ndarray
-    alone_dB: np.ndarray
-    noise_hertz: np.ndarray
-    noise_dB: np.ndarray
-    coherence: np.ndarray
-
-    def at(self, values: np.ndarray) -> np.ndarray:
-        """What the noise gave, at the sines' frequencies."""
-        return np.interp(self.hertz, self.noise_hertz, values)
-
-
-@dataclass(frozen=True)
-class Descent:
-    """W of (31) and its bound (35) over time at a matched plant."""
-
-    t: np.ndarray
-    W: np.ndarray
-    bound: np.ndarray
-
-
-@dataclass(frozen=True)
-class Experiments:
-    """All that `hydrojax paper` shows."""
-
-    tracks: dict[str, dict[str, Track]]
-    ablation: Track
-    response: Response
-    descent: dict[float, Descent]
-    supply: theory.Supply
-
-
-def reference() -> tuple[RigFile, Rig]:
-    """The reference rig's file and its plant: 200 Hz spool, 1 ms of computing."""
-    file = resources.files("hydrojax") / "paper" / "reference.toml"
-    with resources.as_file(file) as path:
-        spec = RigFile.load(path)
-    return spec, build_rig(spec)
 
 
 def _stack(loops: list[Loop]) -> Loop:

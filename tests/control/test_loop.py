@@ -24,7 +24,7 @@ from hydrojax.control.loop import Loop, Sensors, quantise, run
 from hydrojax.control.simulation import hold, make_scenario, simulate
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
-from hydrojax.paper import experiments
+from hydrojax.paper.records import reference
 from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, Motion
 from hydrojax.plant.named import put
 from hydrojax.plant.rig import add
@@ -461,7 +461,7 @@ def test_a_delay_beyond_its_queue_is_refused(tmp_path):
 
 def test_effects_that_are_absent_change_nothing():
     """All of the vocabulary in one loop, each at zero."""
-    spec, _ = experiments.reference()
+    spec, _ = reference()
     bare = make_bench_loop(effects=False)
     every = effects_of(EFFECTS, spec).values()
     loop = eqx.tree_at(lambda lo: lo.rig, bare, add(bare.rig, every))

@@ -12,6 +12,7 @@ import pytest
 
 from hydrojax import cli
 from hydrojax.paper import experiments
+from hydrojax.paper.records import reference
 from hydrojax.rigfile.build import build_loop
 
 LETTERS = ("a", "b", "c", "d")
@@ -139,7 +140,7 @@ def test_within_across_zero():
 
 def test_the_cases_are_the_papers():
     """What each case changes, in the law that runs."""
-    spec, rig = experiments.reference()
+    spec, rig = reference()
     kappa = 1.18e-4
 
     def law(figure, case):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from hydrojax.paper.experiments import reference
+from hydrojax.paper.records import reference
 from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.tune import linearize, measure, metrics, operating_point
 from hydrojax.tune.program import program

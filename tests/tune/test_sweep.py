@@ -16,9 +16,9 @@ from hydrojax import cli
 from hydrojax.cli.words import read_axes
 from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.errors import InputError
-from hydrojax.paper.experiments import reference
+from hydrojax.paper.records import reference
 from hydrojax.rigfile.quantities import open_setting, quantities
-from hydrojax.tune import measure, metrics, plan, plots, sweep
+from hydrojax.tune import measure, metrics, plan, plots, selection, sweep
 from hydrojax.tune.axes import make_axes
 from hydrojax.tune.ensemble import ensemble, from_findings
 from hydrojax.tune.findings import Findings
@@ -426,7 +426,7 @@ def test_disagreement_and_saturation_are_on_the_map(setting, known):
 def test_an_axis_of_one_value_is_no_axis_of_a_picture(setting, known):
     """Two axes, one of a single value: lines over the other, and its Bode plots."""
     data = sweep.run(plan_of(setting, known, ["k_p=1.2", "k_f=1,2.4"]))
-    assert plots.axes_of(data) == ["k_p", "k_f"]
+    assert selection.axes_of(data) == ["k_p", "k_f"]
     assert set(plots.figures(data)) == {"lines", "bode"}
     alone = sweep.run(plan_of(setting, known, ["k_p=1.2"]))
     assert set(plots.figures(alone)) == {"lines", "bode"}

@@ -22,7 +22,7 @@ from scipy import fft
 
 from hydrojax import cli
 from hydrojax.errors import InputError
-from hydrojax.paper.experiments import reference
+from hydrojax.paper.records import reference
 from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import api, measure, metrics, optimize

@@ -27,8 +27,8 @@ from hydrojax.identify import api as identifying
 from hydrojax.identify.case import open_case
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import api, sweep
+from hydrojax.workflows.fleet import friction, merged, summary, sweeps
 from hydrojax.workflows.fleet import run as running
-from hydrojax.workflows.fleet import summary, sweeps
 from hydrojax.workflows.fleet.jobs import read_jobs
 from hydrojax.workflows.fleet.report import controller_lines
 from hydrojax.workflows.fleet.run import Ran, Stopped, run_fleet
@@ -181,7 +181,7 @@ def test_what_came_of_every_job_is_a_row(tmp_path):
     assert found["parameter.beta.low"][3] < found["parameter.beta"][3]
     assert found["channel.F.after"][0] == 2.6
     assert np.isnan(found["parameter.beta"][2])
-    fields = summary.Fleet(tmp_path / "out" / "fleet.parquet")
+    fields = merged.Fleet(tmp_path / "out" / "fleet.parquet")
     assert fields.unit("parameter.k_vp.std") == "N*s/m"
     assert fields.labels == ["warm", "site"]
 
@@ -414,7 +414,7 @@ def test_outliers_drifts_and_failures_are_named(tmp_path):
     )
     out = tmp_path / "out"
     pretended(table, out, report=True)
-    found = summary.Fleet(out / "fleet.parquet")
+    found = merged.Fleet(out / "fleet.parquet")
     apart = [o for o in summary.outliers(found) if o.what == "beta"]
     assert [o.job for o in apart] == ["row 8"]
     rest = np.delete(values, 4)
@@ -440,7 +440,7 @@ def test_values_at_random_have_no_drift(tmp_path):
     logs = [{"value": v} for v in 10 + 0.1 * rng.normal(size=40)]
     table = fleet(tmp_path, logs, warm=list(range(40)))
     pretended(table, tmp_path / "out")
-    assert not summary.drifts(summary.Fleet(tmp_path / "out" / "fleet.parquet"))
+    assert not summary.drifts(merged.Fleet(tmp_path / "out" / "fleet.parquet"))
 
 
 def records(theta: np.ndarray, noise: float = 0.0) -> list[dict]:
@@ -465,7 +465,7 @@ def test_the_box_holds_as_much_friction_as_it_says():
     rng = np.random.default_rng(2)
     draw = rng.multivariate_normal
     mean, covariance = [1000.0, 800.0], [[900.0, 500.0], [500.0, 400.0]]
-    found = summary.friction_box(records(draw(mean, covariance, 400)))
+    found = friction.friction_box(records(draw(mean, covariance, 400)))
     fresh = draw(mean, covariance, 20_000)
     inside = np.all((fresh > found.box.lower) & (fresh < found.box.upper), axis=1)
     assert 0.93 < inside.mean() < 0.97
@@ -479,9 +479,9 @@ def test_friction_that_fits_do_not_tell_has_no_bounds():
     some = records(np.random.default_rng(0).normal(1000, 10, (9, 2)))
     for record in some[:5]:
         record["parameters"]["k_cn"]["told"] = False
-    found = summary.friction_box(some)
+    found = friction.friction_box(some)
     assert found.box.names == ("k_cp",) and len(found.values) == 9
-    assert summary.friction_box(some[:4]) is None
+    assert friction.friction_box(some[:4]) is None
 
 
 # -- real logs --

@@ -15,15 +15,9 @@ from matplotlib.ticker import MaxNLocator
 
 from hydrojax.identify.report.figures import ABOVE, AFTER, BAND, STYLE, sheet
 from hydrojax.report.text import engineering, raised, symbol, words
-from hydrojax.workflows.fleet.summary import (
-    FAR,
-    FEW,
-    Bounds,
-    Fleet,
-    Found,
-    label,
-    robust_z,
-)
+from hydrojax.workflows.fleet.friction import Bounds
+from hydrojax.workflows.fleet.merged import FEW, Fleet, label
+from hydrojax.workflows.fleet.summary import FAR, Found, robust_z
 
 ROW_NUMBER = "row of the table"
 CROWD = 400

@@ -19,10 +19,12 @@ from hydrojax.report.page import page as make_page
 from hydrojax.report.text import p_text, quantity, words
 from hydrojax.rigfile import controller
 from hydrojax.rigfile.edit import text
-from hydrojax.workflows.fleet import pictures, summary
+from hydrojax.workflows.fleet import friction, pictures, summary
+from hydrojax.workflows.fleet.friction import BOXED, Bounds
+from hydrojax.workflows.fleet.merged import Fleet
 from hydrojax.workflows.fleet.pictures import CROWD, ROW_NUMBER
 from hydrojax.workflows.fleet.store import Store
-from hydrojax.workflows.fleet.summary import BOXED, FAR, Bounds, Fleet
+from hydrojax.workflows.fleet.summary import FAR
 
 LISTED = 100
 """Lines of a list on the page; the table has all."""
@@ -65,7 +67,7 @@ def look(store: Store, keys: Sequence[str]) -> Seen:
         apart,
         summary.drifts(fleet),
         [_spread(fleet, name) for name in fleet.parameters],
-        summary.friction_box(some),
+        friction.friction_box(some),
         fleet.labels,
     )
 

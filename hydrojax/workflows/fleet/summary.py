@@ -1,36 +1,22 @@
-"""What a fleet's table says: outliers, drifts with labels, effects, friction's bounds.
-
-Columns are read as they are asked for, so that a long table need not fit in memory.
-"""
+"""What a fleet's table says: outliers, drifts with labels, effects."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
+from jaxtyping import Float
 from scipy import stats
 
-from hydrojax.identify.estimation.box import Box, Stretch, smallest_box
-from hydrojax.plant.friction import Theta
-from hydrojax.workflows.fleet.jobs import OWN, PREFIXES, RESULTS
+from hydrojax.workflows.fleet.merged import FEW, Fleet, label
 
 FAR = 3.5
 """Robust z score of an outlier (Iglewicz and Hoaglin, How to Detect and Handle
 Outliers, ASQC 1993); see `robust_z`."""
-
-LITTLE = 3.0
-"""Multiple of the fleet's median standard deviation above which a fit says too little
-of friction to be counted: few such would pass for the scatter of all."""
-
-FEW = 5
-"""Fits below which nothing is said of outliers, drifts and bounds."""
 
 CHANCE = 0.01
 """Family-wise chance of naming a drift where there is none."""
@@ -38,82 +24,10 @@ CHANCE = 0.01
 PAIRED = 2000
 """Most rows that a slope is cut from: it looks at all pairs."""
 
-BOXED = 5000
-"""Most fits that friction's bounds are cut from."""
 
-
-@dataclass(frozen=True)
-class Fleet:
-    """The merged table."""
-
-    path: Path
-
-    @cached_property
-    def schema(self) -> Any:
-        """Its columns, with their units."""
-        return pq.read_schema(self.path)
-
-    def columns(self, *names: str) -> pd.DataFrame:
-        """Some columns."""
-        return pq.read_table(self.path, columns=list(names)).to_pandas()
-
-    def unit(self, name: str) -> str:
-        """Unit of a parameter or channel, by its column."""
-        said = self.schema.field(name).metadata or {}
-        return said.get(b"unit", b"1").decode()
-
-    @property
-    def parameters(self) -> list[str]:
-        """Fitted parameters, as they are called between `parameter.` and `.std`."""
-        return [
-            n.removeprefix("parameter.").removesuffix(".told")
-            for n in self.schema.names
-            if n.startswith("parameter.") and n.endswith(".told")
-        ]
-
-    @property
-    def channels(self) -> list[str]:
-        """Channels that were compared."""
-        return [
-            n.removeprefix("channel.").removesuffix(".after")
-            for n in self.schema.names
-            if n.startswith("channel.") and n.endswith(".after")
-        ]
-
-    @property
-    def labels(self) -> list[str]:
-        """Columns that are the user's own."""
-        known = (*OWN, *RESULTS)
-        return [
-            n
-            for n in self.schema.names
-            if n not in known and not n.startswith(PREFIXES)
-        ]
-
-    def told(self, name: str) -> pd.DataFrame:
-        """job, value, std, low, high of the fits that tell a parameter.
-
-        Row numbers stay those of the table.
-        """
-        ends = ("", ".std", ".low", ".high", ".told")
-        own: Any = self.columns("job", *(f"parameter.{name}{end}" for end in ends))
-        own.columns = ["job", "value", "std", "low", "high", "told"]
-        return own[own["told"].fillna(False).astype(bool) & own["value"].notna()]
-
-
-def label(fleet: Fleet, name: str) -> pd.Series:
-    """A label's values: numbers, times (UTC), or text: what all that are filled are."""
-    column: Any = fleet.columns(name)[name]
-    if column.dtype.kind == "f" or not column.notna().any():
-        return column
-    try:
-        times = pd.to_datetime(column, format="ISO8601", utc=True)
-        return times.dt.tz_localize(None)
-    except (ValueError, TypeError):
-        return column
-
-
-def robust_z(values: np.ndarray, std: np.ndarray | float = 0.0) -> np.ndarray:
+def robust_z(
+    values: Float[np.ndarray, "n"], std: Float[np.ndarray, "n"] | float = 0.0
+) -> Float[np.ndarray, "n"]:
     """(x - median) / sqrt((MAD / 0.6745)^2 + std^2): robust z scores.
 
     `std` is each value's own: what is known less well may stand further off. 0 where
@@ -252,65 +166,3 @@ def effects(fleet: Fleet, records: Iterable[dict[str, Any]]) -> list[Found]:
         Found(n, k, tuple(a for a, _ in alike.get(n, Counter()).most_common(3)))
         for n, k in sorted(count.items(), key=lambda c: (-c[1], c[0]))
     ]
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """Friction's bounds over the fleet.
-
-    `units` [n] of the box's parameters; `values` [K, n] of the K fits that it is cut
-    from, of `of` fits that have friction at all.
-    """
-
-    box: Box
-    units: tuple[str, ...]
-    values: np.ndarray
-    of: int
-
-
-def friction_box(
-    records: Sequence[dict[str, Any]], confidence: float = 0.95
-) -> Bounds | None:
-    """The smallest box that holds the next run's friction at a confidence.
-
-    Of the friction parameters those that most fits tell; of the fits those that tell
-    all of these, and about as well as most do. The fits' own uncertainty is taken out
-    of their scatter. None where they are fewer than `FEW`.
-    """
-    good = [r for r in records if r.get("friction")]
-    names = tuple(
-        n for n in Theta._fields if 2 * sum(_tells(r, n) for r in good) > len(good)
-    )
-    fits = [r for r in good if all(_tells(r, n) for n in names)]
-    if not names or len(fits) < FEW:
-        return None
-    stretches = [_stretch(r, names) for r in fits]
-    std = np.sqrt([np.diag(s.covariance) for s in stretches])
-    clear = np.all(std <= LITTLE * np.median(std, axis=0), axis=1)
-    if np.count_nonzero(clear) < FEW:
-        return None
-    stretches = [s for s, known in zip(stretches, clear, strict=True) if known]
-    ranges = [[r["friction"]["ranges"][n] for n in names] for r in fits]
-    low, high = np.min(ranges, axis=0)[:, 0], np.max(ranges, axis=0)[:, 1]
-    limits = list(zip(low.tolist(), high.tolist(), strict=True))
-    box = smallest_box(names, stretches, confidence, limits)
-    units = tuple(fits[0]["parameters"][n]["unit"] for n in names)
-    return Bounds(box, units, np.array([s.theta for s in stretches]), len(good))
-
-
-def _tells(record: dict[str, Any], name: str) -> bool:
-    p = record["parameters"].get(name)
-    return bool(p and p["told"]) and name in record["friction"]["ranges"]
-
-
-def _stretch(record: dict[str, Any], names: tuple[str, ...]) -> Stretch:
-    """A fit's friction; what ended at its range's end has no spread of its own."""
-    own = record["friction"]
-    covariance = np.zeros((len(names), len(names)))
-    inside = [n for n in names if n in own["inside"]]
-    at = [own["inside"].index(n) for n in inside]
-    to = [names.index(n) for n in inside]
-    if inside:
-        covariance[np.ix_(to, to)] = np.array(own["covariance"])[np.ix_(at, at)]
-    theta = np.array([record["parameters"][n]["value"] for n in names])
-    return Stretch("", 0.0, 0.0, theta, covariance)

@@ -1,0 +1,75 @@
+"""The reference rig, and what the experiments on it give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+from jaxtyping import Float
+
+from hydrojax.control import theory
+from hydrojax.plant.rig import Rig
+from hydrojax.rigfile.build import build_rig
+from hydrojax.rigfile.schema import RigFile
+
+
+@dataclass(frozen=True)
+class Track:
+    """One case: desired and actual force over time; SI.
+
+    `rms` is of their difference in the steady part.
+    """
+
+    t: Float[np.ndarray, "n"]
+    desired: Float[np.ndarray, "n"]
+    actual: Float[np.ndarray, "n"]
+    rms: float
+
+
+@dataclass(frozen=True)
+class Response:
+    """|F/F_d| in dB by white noise, with its coherence, and by single sines.
+
+    `hertz` are the sines' frequencies; `noise_hertz`, `noise_dB`, `coherence`
+    the noise's. `alone_dB` is of sines without the noise beneath them.
+    """
+
+    hertz: Float[np.ndarray, "n"]
+    sines_dB: Float[np.ndarray, "n"]
+    alone_dB: Float[np.ndarray, "n"]
+    noise_hertz: Float[np.ndarray, "m"]
+    noise_dB: Float[np.ndarray, "m"]
+    coherence: Float[np.ndarray, "m"]
+
+    def at(self, values: Float[np.ndarray, "m"]) -> Float[np.ndarray, "n"]:
+        """Values over the noise's frequencies, at those of the sines."""
+        return np.interp(self.hertz, self.noise_hertz, values)
+
+
+@dataclass(frozen=True)
+class Descent:
+    """W of (31) and its bound (35) over time at a matched plant."""
+
+    t: Float[np.ndarray, "n"]
+    W: Float[np.ndarray, "n"]
+    bound: Float[np.ndarray, "n"]
+
+
+@dataclass(frozen=True)
+class Experiments:
+    """All that `hydrojax paper` shows."""
+
+    tracks: dict[str, dict[str, Track]]
+    ablation: Track
+    response: Response
+    descent: dict[float, Descent]
+    supply: theory.Supply
+
+
+def reference() -> tuple[RigFile, Rig]:
+    """The reference rig's file and its plant: 200 Hz spool, 1 ms of computing."""
+    file = resources.files("hydrojax") / "paper" / "reference.toml"
+    with resources.as_file(file) as path:
+        spec = RigFile.load(path)
+    return spec, build_rig(spec)
