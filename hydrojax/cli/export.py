@@ -19,7 +19,6 @@ from hydrojax.cli.options import (
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import set_up_jax, user_cache
 from hydrojax.report.files import write_all
-from hydrojax.rigfile.schema import RigFile
 
 
 @app.command()
@@ -43,6 +42,7 @@ def export(
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import export
+    from hydrojax.rigfile.schema import RigFile
 
     with show_progress() as progress:
         progress("write the rig")
