@@ -1,5 +1,6 @@
 """A reference rig, and short synthetic logs with motion known in closed form."""
 
+import resource
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -235,3 +236,41 @@ def call(monkeypatch, capsys, cache_home) -> Callable[..., Said]:
         return Said(code, *capsys.readouterr())
 
     return run
+
+
+# -- memory --
+
+MOST_MIB = 6 * 1024
+"""A worker that ever held more fails the run."""
+
+GOAL_MIB = 1536
+
+PEAKS = pytest.StashKey[dict[str, float]]()
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Each worker reports the most memory that it held."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    output = getattr(session.config, "workeroutput", None)
+    if output is not None:
+        output["peak_mib"] = peak
+        return
+    peaks = session.config.stash.setdefault(PEAKS, {})
+    if not peaks:
+        peaks["main"] = peak
+    if max(peaks.values()) > MOST_MIB:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error) -> None:
+    """The main process hears of a worker's peak as it stops."""
+    peaks = node.config.stash.setdefault(PEAKS, {})
+    peaks[node.gateway.id] = getattr(node, "workeroutput", {}).get("peak_mib", 0.0)
+
+
+def pytest_terminal_summary(terminalreporter, exitstatus, config) -> None:
+    """Print the workers' peaks beside the goal."""
+    for name, peak in sorted(config.stash.get(PEAKS, {}).items()):
+        over = " (over the goal of 1.5 GiB)" if peak > GOAL_MIB else ""
+        terminalreporter.write_line(f"{name}: at most {peak:.0f} MiB{over}")
