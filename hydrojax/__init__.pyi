@@ -2,7 +2,15 @@
 
 from .api import fit as fit
 from .api import trace as trace
-from .control.simulation import simulate as simulate
+from .control.base import AbstractController as AbstractController
+from .control.inputs import AbstractMotion as AbstractMotion
+from .control.inputs import AbstractReference as AbstractReference
+from .control.inputs import locked as locked
+from .control.inputs import noise as noise
+from .control.inputs import sine as sine
+from .control.inputs import sines as sines
+from .control.inputs import to_and_fro as to_and_fro
+from .control.inputs import wander as wander
 from .errors import InputError as InputError
 from .identify.result import Result as Result
 from .identify.tracing.criteria import Criteria as Criteria
@@ -12,5 +20,7 @@ from .rigfile.schema import RigFile as RigFile
 from .tune.api import sweep as sweep
 from .tune.api import tune_gains as tune_gains
 from .tune.objective import Limits as Limits
+from .workflows.simulation import Simulation as Simulation
+from .workflows.simulation import simulate as simulate
 
 __version__: str
