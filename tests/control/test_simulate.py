@@ -545,7 +545,7 @@ REFUSED = {
     "second of two": (("--gains", "k_p=1", "k_f=-1"), "k_f: -1.0 must be 0 or more"),
     "reference": (("--reference", "sinus"), "did you mean 'sines'"),
     "motion": (("--motion", "wonder"), "did you mean 'wander'"),
-    "seconds": (("--seconds", "0.01"), "seconds: invalid length 0.01: expected 0.05 to"),
+    "seconds": (("--seconds", "0.01"), "seconds: invalid length 0.01: expected"),
     "log": (("--reference", "no.csv"), "no.csv"),
 }
 
