@@ -34,7 +34,7 @@ best = hj.tune_gains(out.rig, free=("k_p", "k_f"), limits=hj.Limits(peak_dB=3))
 @pytest.fixture(scope="module")
 def shown(recorded):
     """What the block above leaves behind, run beside a recorded case."""
-    case = recorded(3, "stribeck")
+    case = recorded(6, {"stribeck": {}})
     frame = pd.read_csv(case / "validate.csv")
     (name,) = (c for c in frame.columns if c.startswith("P_a1"))
     assert "[Pa]" in name
