@@ -42,7 +42,7 @@ def ensemble(
     Args:
         setting: whose plant is the first.
         count: of all plants.
-        spread: relative half-width for the bulk modulus, the valve's constants and `FRICTION`.
+        spread: relative half-width for bulk modulus, valve constants, `FRICTION`.
         seed: of the draw.
     """
     rig = setting.loop.rig
