@@ -70,7 +70,7 @@ class Swept:
         from hydrojax.tune import maps, plots, selection
 
         self._check(quantity)
-        data = selection.spread(self.data)
+        data = selection.without_single_axes(self.data)
         if len(selection.axes_of(data)) > 1:
             return maps.map_figure(data, quantity)
         return plots.line_figure(data)

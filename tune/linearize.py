@@ -2,7 +2,7 @@
 
 The Jacobian of the loop's own step, from the desired force of one sample to the output
 force of the next: the hold, the delay's queue, the spool, filters and sensors are in
-it because they are in the step. Adaptation is frozen (`point.frozen`).
+it because they are in the step. Adaptation is frozen (`operating_point.frozen`).
 
 At rest three things have a corner: the valve's lands and the law's inverse of them at
 u = 0, and presliding at F = 0. The Jacobian is the mean of those on both sides, the
@@ -128,7 +128,7 @@ def system(setting: Setting, carry: Any, states: States | None = None) -> System
 
     Args:
         setting: the loop and its point.
-        carry: the memory there, as `point.start` gives it.
+        carry: the memory there, as `operating_point.initial_state` gives it.
         states: which numbers of the memory matter, as `find_states` tells; all if
             None.
     """
@@ -170,7 +170,7 @@ def find_states(systems: System) -> States:
     return States(tuple(int(i) for i in at), tuple(group))
 
 
-def response(s: System, hertz: Array) -> Array:
+def frequency_response(s: System, hertz: Array) -> Array:
     """Frequency response, [len(hertz), 2, 5], complex."""
     n = s.A.shape[0]
     z = jnp.exp(2j * jnp.pi * hertz * s.h)

@@ -114,7 +114,7 @@ def white_noise(
     return Excitation("noise", shape, noise, segment, hertz, None, segment)
 
 
-def simulate(
+def run_excited(
     setting: Setting, given: Excitation, frozen: bool = False, settle: int = 0
 ) -> tuple[Array, Array]:
     """Run the loop from its operating point.
@@ -122,7 +122,7 @@ def simulate(
     Returns:
         F_d [n], N, and the signals `KEEP` [n, 4], SI.
     """
-    carry = operating_point.start(setting, settle=settle)
+    carry = operating_point.initial_state(setting, settle=settle)
     loop = operating_point.frozen(setting.loop) if frozen else setting.loop
     n = given.shape.size
     t = jnp.arange(n) * loop.h
@@ -148,7 +148,7 @@ def segments(x: Array, size: int) -> Array:
     return jnp.fft.rfft(window * (cut - jnp.mean(cut, axis=1, keepdims=True)))
 
 
-def response(given: Excitation, F_d: Array, F: Array) -> tuple[Array, Array]:
+def estimate_response(given: Excitation, F_d: Array, F: Array) -> tuple[Array, Array]:
     """F/F_d at the excitation's frequencies, complex, and its coherence, [lines]."""
     asked, came = F_d[given.skip :], F[given.skip :]
     if given.weights is not None:
@@ -180,10 +180,10 @@ def measure(
 
     NaN where the run diverged.
     """
-    F_d, table = simulate(setting, given, frozen, settle)
+    F_d, table = run_excited(setting, given, frozen, settle)
     late = table[given.skip :]
     F, u, P_1, P_2 = late.T
-    H, coherence = response(given, F_d, table[:, 0])
+    H, coherence = estimate_response(given, F_d, table[:, 0])
     hertz = jnp.asarray(given.hertz)
     loop = setting.loop
     shut = [loop.rig.force_area_1 > 0, loop.rig.force_area_2 > 0]
@@ -192,7 +192,7 @@ def measure(
         for s, P in zip(shut, (P_1, P_2), strict=True)
     ]
     found = {
-        "within_1dB": metrics.within(hertz, H),
+        "within_1dB": metrics.band_within(hertz, H),
         "minus_3dB": metrics.first(hertz, metrics.dB(H) + 3.0),
         "lag_90": metrics.first(hertz, metrics.unwrapped(H) + jnp.pi / 2),
         "peak": jnp.max(metrics.dB(H)),

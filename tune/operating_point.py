@@ -94,8 +94,8 @@ def at(given: Scenario, k: int | Array) -> Scenario:
 def still(settings: Setting) -> bool:
     """Whether the points of some settings, stacked [m, ...], need no settling.
 
-    At rest they need none if nothing moves from where `start` puts it: leakage, a
-    valve's bias or an estimate that is off make it move.
+    At rest they need none if nothing moves from where `initial_state` puts it:
+    leakage, a valve's bias or an estimate that is off make it move.
     """
     if bool(jnp.any(settings.v != 0)):
         return False
@@ -103,7 +103,7 @@ def still(settings: Setting) -> bool:
         return False
 
     def drift(s: Setting) -> Array:
-        carry = start(s)
+        carry = initial_state(s)
         one = scenario(s, s.F_0[None], jnp.zeros((1, 4)), jnp.zeros(1))
         after = step(_slow(s.loop), carry, at(one, 0))[0]
         off = [b - a for a, b in zip(carry.plant.P, after.plant.P, strict=True)]
@@ -130,7 +130,7 @@ def _adaptive(loop: Loop) -> Law:
     return loop.law
 
 
-def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
+def initial_state(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
     """What the loop remembers at its operating point.
 
     Args:
