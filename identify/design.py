@@ -27,9 +27,8 @@ from hydrojax.identify.estimation.columns import Batch, Model, basis, slot_names
 from hydrojax.identify.estimation.misfit import sums
 from hydrojax.identify.estimation.problem import Free, free_parameters
 from hydrojax.identify.preparation.windows import LEAD, PRE, QUARTERS
-from hydrojax.parameters import specs
+from hydrojax.parameters import parameter_specs, specs
 from hydrojax.plant.load import EnvironmentMotion
-from hydrojax.plant.named import parameter_specs
 from hydrojax.plant.replay import Motion, Windows
 from hydrojax.rigfile.build import build_loop, build_rig, over_travel
 from hydrojax.rigfile.schema import RigFile

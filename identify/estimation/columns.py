@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hydrojax.parameters import specs
-from hydrojax.plant.named import get, hydraulic_names, parameter_specs, put, scales
+from hydrojax.parameters import get, parameter_specs, put, scales, specs
+from hydrojax.plant.places import hydraulic_names
 from hydrojax.plant.replay import (
     Motion,
     Past,

@@ -15,9 +15,9 @@ import numpy as np
 
 from hydrojax.identify.estimation.columns import Batch, Model
 from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.parameters import put
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Point
-from hydrojax.plant.named import put
 from hydrojax.plant.rig import Rig
 
 HALVINGS = 40

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.plant.named import gauge_names
+from hydrojax.plant.places import gauge_names
 
 
 @dataclass(frozen=True)

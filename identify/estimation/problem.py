@@ -20,7 +20,7 @@ from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import bucket
 from hydrojax.parameters import Spec
-from hydrojax.plant.named import gauge_names
+from hydrojax.plant.places import gauge_names
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.schema import RigFile
 

@@ -6,6 +6,7 @@ sample to sample, with the float law of `test_control` deciding at each.
 
 from __future__ import annotations
 
+import inspect
 import math
 import warnings
 from collections.abc import Callable
@@ -25,8 +26,8 @@ from hydrojax.control.simulation import hold, make_scenario, simulate
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
+from hydrojax.parameters import put
 from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, Motion
-from hydrojax.plant.named import put
 from hydrojax.plant.rig import add
 from hydrojax.plant.valve import LAMINAR_CORE
 from hydrojax.rigfile.build import build_loop, effects_of
@@ -696,7 +697,7 @@ def test_the_least_supply_is_that_of_every_instant(
     scenario = make_scenario(desired(50), MOTIONS["driven"], H, P_S, P_R)
     scenario = scenario._replace(P_r=jnp.asarray(P_r))
     monkeypatch.setattr(theory, "run", lambda loop, scenario, keep: jnp.asarray(P))
-    monkeypatch.setattr(theory, "_stays", theory._stays.__wrapped__)
+    monkeypatch.setattr(theory, "_stays", inspect.unwrap(theory._stays))
     least = theory.least_supply(make_bench_loop(), scenario)
     assert least == pytest.approx(want, rel=5e-3) and least >= want
 

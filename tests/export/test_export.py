@@ -22,7 +22,7 @@ from scipy.io import loadmat
 from hydrojax import export
 from hydrojax.control.simulation import simulate
 from hydrojax.errors import InputError
-from hydrojax.plant.named import put
+from hydrojax.parameters import put
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import start, step
 from hydrojax.rigfile import recording
@@ -335,7 +335,7 @@ def test_the_law_in_c_is_the_law_of_the_simulator(case, tmp_path, compiler):
     loop, run = closed_loop(spec, 6.0)
     names = loop.law.rate._fields
     rig, state = ctypes.addressof(ctypes.c_char.in_dll(law, "law_rig")), Memory()
-    seen = np.stack([run[name] for name, _ in Reading._fields_], axis=1)
+    seen = np.stack([run[field[0]] for field in Reading._fields_], axis=1)
     u, estimates = np.empty(run.t.size), np.empty((run.t.size, 9))
     for k, (row, F_d) in enumerate(zip(seen, run.F_d, strict=True)):
         reading = Reading(*row)

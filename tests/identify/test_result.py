@@ -12,7 +12,7 @@ from hydrojax.identify.case import open_case
 from hydrojax.identify.result import Result
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
-from hydrojax.plant.named import get
+from hydrojax.parameters import get
 from hydrojax.rigfile.schema import RigFile
 
 

@@ -1,14 +1,16 @@
 """Flows and pressure rates against the paper's formulas, in plain NumPy."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from hydrojax.effects import EFFECTS
+from hydrojax.parameters import get, put
 from hydrojax.plant.chambers import Chambers, Point
 from hydrojax.plant.layout import LAYOUTS
-from hydrojax.plant.named import get, put
 from hydrojax.plant.rig import bare_rig
 from hydrojax.plant.valve import per_fourth_root, root_flow
 
@@ -30,7 +32,7 @@ def point(u: float = 0.0, opening: tuple[float, ...] = (), **other: float) -> Po
     return Point(**at, opening=tuple(np.float64(o) for o in opening or (u,)))
 
 
-def paper_flows(c: dict[str, float], at: Point, u: float) -> tuple[float, float]:
+def paper_flows(c: dict[str, float], at: Point, u: float) -> tuple[Any, Any]:
     """(12)(13), case by case."""
     if u > 0:
         return (
