@@ -1,4 +1,4 @@
-"""What a sweep's dataset says in words and shows in a notebook: `data.hydrojax`."""
+"""Summaries and figures of a sweep's dataset: `data.hydrojax`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def sentences(data: xr.Dataset) -> list[str]:
 
 
 def _axis(axis: xr.DataArray) -> tuple[str, ...]:
-    """Name, meaning, number of values, range, and where the rig stands."""
+    """Name, description, number of values, range, and the rig's value."""
     values, unit = axis.values, axis.attrs["units"]
     return (
         str(axis.name),

@@ -170,7 +170,12 @@ class Objective:
         out.free = free
         return out
 
-    def compiled_run(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+    def compiled_run(
+        self,
+    ) -> tuple[
+        Callable[[Float[Array, "gains"]], Float[Array, "plants"]],
+        Callable[[Float[Array, "gains"]], Float[Array, "plants gains"]],
+    ]:
         """`run` as a compiled function, and its derivative by each gain."""
         given = self._given()
         run, slope = jax.jit(self._tracking), jax.jit(jax.jacfwd(self._tracking))

@@ -135,7 +135,7 @@ def refine(
 
 
 def _bounds(
-    at: Float[Array, "2n"], scale: Float[np.ndarray, "n"],
+    at: Float[Array, "twice_n"], scale: Float[np.ndarray, "n"],
     low: Float[np.ndarray, "n"], high: Float[np.ndarray, "n"],
 ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:  # fmt: skip
     """Both bounds from their middles and half-widths, which are in units of `scale`."""
