@@ -6,6 +6,9 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pint
@@ -296,6 +299,39 @@ def test_the_key_holds_the_code_of_an_effect_and_of_what_it_calls(own_effect):
     assert key(own_effect()) == first
     others = [key(own_effect(share="2.0")), key(own_effect(helper="2.0"))]
     assert len({first, *others}) == 3
+
+
+LAW = """
+import jax.numpy as jnp
+from jaxtyping import Array
+from hydrojax.control.base import AbstractController
+from hydrojax.parameters import param
+
+class OwnP(AbstractController):
+    k: Array = param("V/N", 1e-3, 0.0, 1.0, "proportional gain")
+    u_max: Array = param("V", 10.0, 0.0, 10.0, "saturation")
+
+    def init(self, measured, F_d):
+        return jnp.zeros_like(F_d)
+
+    def step(self, memory, measured, F_d, h):
+        u = jnp.clip({sign}self.k * (F_d - measured.F), -self.u_max, self.u_max)
+        return memory, u, {{}}
+"""
+
+
+def test_the_key_holds_the_code_of_a_controller(monkeypatch):
+    def asked(sign):
+        module: Any = ModuleType("own_law")
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        exec(LAW.format(sign=sign), vars(module))
+        file = replace(SPEC, law=module.OwnP())
+        setting = open_setting(file)
+        return plan_of(setting, quantities(file, setting), ["k=1e-3,2e-3"])
+
+    first, again, other = asked("-"), asked("-"), asked("+")
+    assert first.key() == again.key() != other.key()
+    assert first.question() == other.question()
 
 
 def test_the_ensemble_and_what_95_percent_reach(setting, known):
