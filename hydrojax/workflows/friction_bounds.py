@@ -25,9 +25,10 @@ from hydrojax.identify.estimation.box import (
 from hydrojax.identify.results.closed_loop import identified
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log
-from hydrojax.rigfile import controller, scenarios
+from hydrojax.rigfile import controller
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.edit import rewrite, text
+from hydrojax.rigfile.scenarios import rerun
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune.ensemble import Plants
 from hydrojax.tune.refine import refine, tracking_errors, with_bounds
@@ -162,10 +163,10 @@ def _scenarios(
                 f"{log.name}: no column F_d: bounds are refined on what the loop was "
                 "asked for; give logs that have it"
             )
-    rerun = [scenarios.rerun(spec, loop, log, MOST_SECONDS) for log in logs]
-    scenarios = [scenario for scenario, _ in rerun if scenario is not None]
+    runs = [rerun(spec, loop, log, MOST_SECONDS) for log in logs]
+    scenarios = [scenario for scenario, _ in runs if scenario is not None]
     if not scenarios:
         raise InputError(f"{logs[0].name}: no two seconds without a gap to run again")
     least = min(c.F_d.size for c in scenarios)
     cut = [jax.tree.map(lambda a: a[:least], c) for c in scenarios]
-    return rerun[0][1], jax.tree.map(lambda *a: jnp.stack(a), *cut)
+    return runs[0][1], jax.tree.map(lambda *a: jnp.stack(a), *cut)
