@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.control import theory
+from hydrojax.jax_setup import ensure_jax
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile
@@ -76,5 +77,6 @@ def reference_rig() -> RigFile:
 
 def reference() -> tuple[RigFile, Rig]:
     """The reference rig's file and its plant."""
+    ensure_jax()
     spec = reference_rig()
     return spec, build_rig(spec)
