@@ -28,7 +28,7 @@ def firmware_of(spec: RigFile) -> dict[str, str]:
     """`law.h` and `law.c` for a rig, by name.
 
     Raises:
-        InputError: the rig has no valve, or [controller] holds what will not do.
+        InputError: the rig has no valve, or an invalid entry in [controller].
     """
     loop = build_loop(spec)
     volts = spec.command_unit == "V"

@@ -27,7 +27,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
 from hydrojax.parameters import put
-from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, Motion
+from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, PistonMotion
 from hydrojax.plant.rig import add
 from hydrojax.plant.valve import LAMINAR_CORE
 from hydrojax.rigfile.build import build_loop, effects_of
@@ -283,7 +283,7 @@ def test_the_encoder_matters(truths):
 def carry(load: Inertia, force: Callable, steps: int, h: float, v: float = 0.0):
     """The load's motion [steps] under `force(x, v, a)` of the cylinder."""
     still = EnvironmentMotion(jnp.zeros(3), jnp.asarray(0.0), jnp.asarray(0.0))
-    at, out = Motion(*map(jnp.asarray, (0.0, v, 0.0))), []
+    at, out = PistonMotion(*map(jnp.asarray, (0.0, v, 0.0))), []
     for _ in range(steps):
         x = load.move(at, still, h)
         at, F = load.advance(at, x, still, h, lambda v, a, x=x: force(x[2], v, a))
@@ -318,7 +318,7 @@ def test_driven_follows_the_road():
     environment = EnvironmentMotion(
         jnp.array([1.0, 1.5, 2.0]), jnp.asarray(3.0), jnp.asarray(4.0)
     )
-    at = Motion(*map(jnp.asarray, (0.0, 0.0, 0.0)))
+    at = PistonMotion(*map(jnp.asarray, (0.0, 0.0, 0.0)))
     x = Driven().move(at, environment, 1e-3)
     motion, F = Driven().advance(at, x, environment, 1e-3, lambda v, a: 10 * v + a)
     assert [float(m) for m in motion] == [2.0, 3.0, 4.0] and float(F) == 34.0
