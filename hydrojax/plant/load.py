@@ -145,7 +145,7 @@ class Driven(AbstractLoad):
     def begin(
         self, environment: EnvironmentMotion, h: Float[Array, "*batch"], force: Force
     ) -> PistonMotion:
-        """PistonMotion at the start of the first part, of length `h`."""
+        """Motion at the start of the first part, of length `h`."""
         return PistonMotion(
             environment.x[..., 0], _speed(environment, h), jnp.zeros_like(h)
         )
@@ -167,7 +167,7 @@ class Driven(AbstractLoad):
         h: Float[Array, "*batch"],
         force: Force,
     ) -> tuple[PistonMotion, Float[Array, "*batch"]]:
-        """PistonMotion at the part's end, and the force there, N."""
+        """Motion at the part's end, and the force there, N."""
         return PistonMotion(x[..., 2], environment.v, environment.a), force(
             environment.v, environment.a
         )
@@ -226,7 +226,7 @@ class Inertia(AbstractLoad):
         h: Float[Array, "*batch"],
         force: Force,
     ) -> tuple[PistonMotion, Float[Array, "*batch"]]:
-        """PistonMotion at the part's end, and the force there, N.
+        """Motion at the part's end, and the force there, N.
 
         A mass before the load cell makes the force depend on the acceleration, along
         a line: two points of it and the load's own line meet in the answer.
