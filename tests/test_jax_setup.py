@@ -15,8 +15,7 @@ from hydrojax import jax_setup
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation.columns import Model, basis
-from hydrojax.identify.estimation.misfit import sums
-from hydrojax.identify.estimation.problem import filled
+from hydrojax.identify.estimation.misfit import filled, sums
 
 LOOP = """
 import jax, jax.numpy as jnp

@@ -129,7 +129,8 @@ def excite(
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import units
-    from hydrojax.identify.design import Limits, design
+    from hydrojax.identify.design import design
+    from hydrojax.identify.experiment import ExcitationLimits
     from hydrojax.report.text import quantity
     from hydrojax.rigfile import recording
     from hydrojax.rigfile.schema import RigFile
@@ -148,11 +149,12 @@ def excite(
     if min(most) <= 0:
         raise InputError("--force, --speed and --travel must be above 0")
     with show_progress() as progress:
-        found = design(spec, Limits(*most, seconds=seconds), both, progress=progress)
+        limits = ExcitationLimits(*most, seconds=seconds)
+        found = design(spec, limits, both, progress=progress)
     recording.write_log(
         out, recording.scenario_columns(found.t, found.F_d, found.x, spec)
     )
-    what = "least size shown" if both else "standard deviation"
+    what = "smallest size shown" if both else "standard deviation"
     table = Table(what, "undesigned", "designed", "times better")
     for name, before in found.before.items():
         unit = found.units[name]

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from hydrojax.identify.estimation.columns import Basis, Batch, Model, basis, slot_names
+from hydrojax.identify.estimation.columns import Batch, Model, basis, slot_names
 from hydrojax.identify.estimation.coupled import agreed, stretched
-from hydrojax.identify.estimation.misfit import Sums, leftover, sums
-from hydrojax.identify.estimation.solve import Fit, minimise
+from hydrojax.identify.estimation.misfit import (
+    Sums,
+    batch_of,
+    filled,
+    run_fit,
+    run_leftover,
+    run_sums,
+)
+from hydrojax.identify.estimation.solve import Fit
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.jax_setup import bucket
 from hydrojax.parameters import Spec
 from hydrojax.plant.named import gauge_names
 from hydrojax.plant.rig import Rig
@@ -85,96 +89,6 @@ def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
         f"{name}.{field}": Free(s.default, s.lower, s.upper, s.prior)
         for field, s in spec.items()
     }
-
-
-def batch_of(data: Data) -> Batch:
-    """A fit's arrays from prepared logs."""
-    motion, windows = jax.tree.map(np.asarray, (data.motion, data.windows))
-    supply_noise, weight = np.asarray(data.supply_noise), np.ones(len(data.P_0))
-    return Batch(motion, windows, data.P_0, data.noise, supply_noise, weight)
-
-
-def filled(batch: Batch) -> Batch:
-    """The batch with copies of its last window that weigh nothing, and standstill after
-    its motion: logs of other lengths then find their programs compiled.
-    """
-    windows = bucket(len(batch.P_0))
-    which = np.minimum(np.arange(windows), len(batch.P_0) - 1)
-    segments, ticks = batch.motion.h.shape
-    more = (bucket(segments, 1) - segments, bucket(ticks + 1) - ticks - 1)
-
-    def longer(a):
-        return np.pad(a, [*zip((0, 0, 0), (*more, 0), strict=True)][: a.ndim], "edge")
-
-    own = (batch.windows, batch.P_0, batch.weight)
-    own = jax.tree.map(lambda a: np.asarray(a)[which], own)
-    motion = jax.tree.map(longer, batch.motion)
-    still = np.array(motion.dx)
-    still[segments:], still[:, ticks:] = 0.0, 0.0
-    return batch._replace(
-        motion=motion._replace(dx=still),
-        windows=own[0],
-        P_0=own[1],
-        weight=own[2] * (np.arange(windows) < len(batch.P_0)),
-    )
-
-
-def _gram(
-    model: Model,
-    values: Array,
-    directions: Basis,
-    prior: tuple[Array, Array],
-    batch: Batch,
-    simulate: bool,
-    d: Array,
-) -> tuple[Array, Sums]:
-    """Gram matrix at `values` moved by `d` along the directions, with priors; and the
-    sums there, without the matrices of the single windows.
-    """
-    k_1 = directions.hydraulic.shape[1]
-    move = jnp.concatenate([directions.hydraulic @ d[:k_1], directions.other @ d[k_1:]])
-    at = sums(model, values + move, directions, batch, simulate)
-    total = jnp.sum(at.gram, 0)
-    slope, at_zero = prior  # what is known beforehand is more residual rows
-    rows = jnp.concatenate([slope, (slope @ d + at_zero)[:, None]], axis=1)
-    return total + rows.T @ rows, at._replace(gram=at.gram[:, :0])
-
-
-@eqx.filter_jit
-def _run(model, values, directions, prior, lower, upper, batch, simulate):
-    gram = partial(_gram, model, values, directions, prior, batch, simulate)
-    return minimise(gram, jnp.zeros_like(lower), lower, upper)
-
-
-@eqx.filter_jit
-def _sums(model, values, directions, batch, simulate):
-    return sums(model, values, directions, batch, simulate)
-
-
-@eqx.filter_jit
-def _leftover(model, values, batch, simulate):
-    return leftover(model, values, batch, simulate)
-
-
-@eqx.filter_jit
-def run_starts(
-    model: Model,
-    values: Array,
-    starts: Array,
-    directions: Basis,
-    lower: Array,
-    upper: Array,
-    batch: Batch,
-    simulate: bool,
-) -> Fit:
-    """Fits from several starts [m, k] at once, vmapped; in units of the directions."""
-    none = (jnp.zeros((0, lower.size)), jnp.zeros(0))
-
-    def one(start):
-        gram = partial(_gram, model, values, directions, none, batch, simulate)
-        return minimise(gram, start, lower, upper)
-
-    return jax.vmap(one)(starts)
 
 
 @dataclass(frozen=True)
@@ -256,7 +170,7 @@ class Problem:
         batch = self.batch
         if noise is not None:
             batch = batch._replace(noise=noise)
-        out = _run(
+        out = run_fit(
             self.model,
             jnp.asarray(values),
             basis(self.model, free, slots),
@@ -322,7 +236,7 @@ class Problem:
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
         at = jnp.asarray(values)
-        return self._real(_leftover(self.model, at, filled(batch), self.simulate))
+        return self._real(run_leftover(self.model, at, filled(batch), self.simulate))
 
     def _begun(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
         """The batch with its windows' initial pressures found, and the residuals.
@@ -354,7 +268,7 @@ class Problem:
 
     def _evaluate(self, values, directions, batch) -> Sums:
         values = jnp.asarray(values)
-        out = _sums(self.model, values, directions, filled(batch), self.simulate)
+        out = run_sums(self.model, values, directions, filled(batch), self.simulate)
         return self._real(out)
 
     def _real(self, found: PyTree) -> PyTree:

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hydrojax.identify.estimation.columns import Batch, basis
-from hydrojax.identify.estimation.problem import Problem, filled, run_starts
+from hydrojax.identify.estimation.misfit import filled, run_starts
+from hydrojax.identify.estimation.problem import Problem
 
 
 def best_start(

@@ -19,9 +19,9 @@ import numpy as np
 
 from hydrojax.identify.estimation.coupled import answer
 from hydrojax.identify.estimation.fit import fit as fit_all
+from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.estimation.problem import (
     Problem,
-    batch_of,
     free_parameters,
     in_play,
 )

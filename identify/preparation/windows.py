@@ -41,7 +41,7 @@ def starts_in(t: np.ndarray, T: int, pre: int, lead: int) -> range:
     return range(begin, t.size - lead - T + 1, T)
 
 
-def spread(
+def spread_runs(
     rows: list[tuple[int, slice]], starts: list[range], most: int, size: int
 ) -> tuple[list[tuple[int, slice]], list[range]]:
     """Runs of windows spread evenly, each a stretch with what it needs ahead of it.

@@ -7,8 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from hydrojax.identify.report.figures import AFTER, BAND, BEFORE
-from hydrojax.identify.report.residuals import compared, drawn, moved, reach
+from hydrojax.identify.report.figures import (
+    AFTER,
+    BAND,
+    BEFORE,
+    compared,
+    drawn,
+    moved,
+    reach,
+)
 from hydrojax.identify.results.outcome import Outcome, Series
 from hydrojax.report.text import engineering
 

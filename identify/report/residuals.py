@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,11 +12,22 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from hydrojax.identify.report.figures import AFTER, BAND, BEFORE, DASHES, sheet, styled
+from hydrojax.identify.report.figures import (
+    AFTER,
+    BAND,
+    BEFORE,
+    DASHES,
+    compared,
+    drawn,
+    moved,
+    reach,
+    sheet,
+    styled,
+)
 from hydrojax.report.text import engineering, signal_unit, symbol, words
 
 if TYPE_CHECKING:
-    from hydrojax.identify.results.outcome import Channel, Effect, Outcome, Series
+    from hydrojax.identify.results.outcome import Effect, Outcome, Series
 
 POINTS = 700
 """Columns into which a long residual is condensed."""
@@ -46,26 +56,6 @@ def condensed(
     gap = np.diff(stretch[starts], append=stretch[-1]) != 0
     rows = np.stack([low, high, np.where(gap, np.nan, high)], axis=1)
     return np.repeat(t[starts], 3), rows.ravel()
-
-
-def drawn(outcome: Outcome) -> list[Series]:
-    """The validation logs of which there is something to draw."""
-    return [s for s in outcome.series if np.isfinite(s.t).any()]
-
-
-def compared(outcome: Outcome, series: Sequence[Series]) -> list[str]:
-    """The channels of which some of these logs has a residual."""
-    return [c for c in outcome.channels if any(c in s.before for s in series)]
-
-
-def moved(series: Sequence[Series], names: Sequence[str]) -> bool:
-    """Whether any residual after differs from the one before."""
-    return any(
-        not np.array_equal(s.before[c], s.after[c], equal_nan=True)
-        for c in names
-        for s in series
-        if c in s.before and c in s.after
-    )
 
 
 @styled
@@ -161,7 +151,7 @@ def _liveliest(t: np.ndarray, y: np.ndarray) -> int:
     )
 
 
-def command_unit(outcome: Outcome) -> str:
+def _command_unit(outcome: Outcome) -> str:
     """`V` where the valve coefficients are per volt, else nothing."""
     volts = any(re.search(r"\bV\b", p.unit) for p in outcome.parameters.values())
     return "V" if volts else ""
@@ -269,7 +259,7 @@ def _dependence(
 ) -> None:
     x, before, after, way = _pooled(outcome, channel, name)
     c = outcome.channels[channel]
-    unit = signal_unit(name, command_unit(outcome))
+    unit = signal_unit(name, _command_unit(outcome))
     fx, ux = engineering(float(np.percentile(np.abs(x), 99)), unit)
     fy, uy = engineering(reach(c), c.unit)
     x, noise = x / fx, c.noise / fy
@@ -291,12 +281,6 @@ def _dependence(
     ax.set_ylabel(f"{symbol(channel)} residual [{uy or 1}]")
     ax.set_title(cause, loc="left", fontsize=9, weight="bold")
     ax.xaxis.set_major_locator(MaxNLocator(5))
-
-
-def reach(c: Channel) -> float:
-    """About how large a channel's residual is, of what is finite."""
-    sizes = [size for size in (c.before, c.after, 2 * c.noise) if np.isfinite(size)]
-    return max(sizes, default=0.0)
 
 
 def _senses(way: np.ndarray, turns: bool) -> list[tuple[np.ndarray, str]]:

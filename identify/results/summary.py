@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydrojax.identify.estimation.fit import Point
-from hydrojax.identify.estimation.problem import batch_of
+from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results import describe
