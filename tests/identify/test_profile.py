@@ -1,5 +1,7 @@
 """Profile likelihood: against scipy on a valley with a bend, and on a log."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import optimize, stats
@@ -35,7 +37,8 @@ class Valley:
     def solve(self, values, names, weights=None):
         at = values.copy()
         assert names == ("b",)
-        at[1] = optimize.minimize_scalar(lambda b: self.chi2(at[0], b)).x
+        best: Any = optimize.minimize_scalar(lambda b: self.chi2(at[0], b))
+        at[1] = best.x
         out = type("Fit", (), {"cost": self.chi2(*at) / 2})
         return at, out
 
