@@ -1,16 +1,26 @@
 """What `import hydrojax` offers; `__init__.py` loads each name when it is used."""
 
+from . import effects as effects
+from . import export as export
 from .api import fit as fit
 from .api import trace as trace
+from .control.base import AbstractController as AbstractController
+from .control.baselines import PIController as PIController
 from .control.simulation import simulate as simulate
+from .effects import effect as effect
+from .effects import load_effects as load_effects
 from .errors import InputError as InputError
 from .identify.result import Result as Result
 from .identify.tracing.criteria import Criteria as Criteria
 from .jax_setup import set_up_jax as set_up_jax
 from .logs.log import Log as Log
+from .parameters import param as param
+from .plant.rig import Rig as Rig
+from .plant.valve import AbstractValve as AbstractValve
 from .rigfile.schema import RigFile as RigFile
 from .tune.api import sweep as sweep
 from .tune.api import tune_gains as tune_gains
 from .tune.objective import Limits as Limits
 
 __version__: str
+__all__: list[str]

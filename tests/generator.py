@@ -452,7 +452,7 @@ class Valve:
         self.held = u = min(max(self.held, u - self.play), u + self.play)
         slews = math.isfinite(self.reach)
         if not self.late and not self.lag and not slews:
-            return [(self.opening(u),) * 2] * SUBSTEPS
+            return [(self.opening(u), self.opening(u))] * SUBSTEPS
         part = self.late % 1
         line = self.past + [u] * SUBSTEPS
         self.past = line[SUBSTEPS:]

@@ -33,7 +33,7 @@ PLANTS = 8
 
 def sweep(
     rig: RigFile | str | Path,
-    axes: Mapping[str, ArrayLike | Sequence[str]],
+    axes: Mapping[str, ArrayLike | Sequence[float] | Sequence[str]],
     *,
     methods: Sequence[str] = ("linear",),
     gains: Mapping[str, object] | None = None,
@@ -82,7 +82,7 @@ def sweep(
 
 def plan_sweep(
     rig: RigFile | str | Path,
-    axes: Mapping[str, ArrayLike | Sequence[str]],
+    axes: Mapping[str, ArrayLike | Sequence[float] | Sequence[str]],
     *,
     methods: Sequence[str] = ("linear",),
     gains: Mapping[str, object] | None = None,

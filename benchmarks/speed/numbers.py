@@ -41,7 +41,7 @@ def plant(rig: Rig) -> Numbers:
             if not isinstance(effect, (ValveDelay, ValveLag)):
                 raise ValueError(f"the peers have no effect {effect.name!r}")
     c = rig.chambers
-    given = values(rig.lands) | values(rig.mechanics)
+    given = values(rig.valve) | values(rig.mechanics)
     given |= {"area_1": c.area_1, "area_2": c.area_2, "beta": c.beta}
     given |= {"act_1": rig.force_area_1, "act_2": rig.force_area_2}
     given |= {"half_1": c.length / 2 + c.delta_1, "half_2": c.length / 2 + c.delta_2}

@@ -13,7 +13,7 @@ import numpy as np
 
 from hydrojax.control.adaptive import LEAST_DROP, Estimates
 from hydrojax.control.loop import Loop
-from hydrojax.plant.chambers import LAMINAR_CORE
+from hydrojax.plant.valve import LAMINAR_CORE
 
 from .numbers import Numbers, numbers
 

@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 from jaxtyping import ArrayLike
 
-from hydrojax.plant.chambers import LAMINAR_CORE
 from hydrojax.plant.rig import PARTS
+from hydrojax.plant.valve import LAMINAR_CORE
 
 from .numbers import Numbers, worked_out
 from .plain import spool_step

@@ -23,6 +23,7 @@ from hydrojax.control.base import (
 )
 from hydrojax.plant.friction import Theta
 from hydrojax.plant.rig import Rig
+from hydrojax.plant.valve import metering_edges
 
 LEAST_DROP = 1e4
 """Pressure drop (Pa) below which (18) is inverted as if there were this much: the
@@ -237,7 +238,7 @@ class Law(AbstractController):
         def root(drop):
             return jnp.sqrt(jnp.maximum(drop, LEAST_DROP))
 
-        c = self.nominal.lands
+        c = metering_edges(self.nominal.valve)
         up = w_1 * c.c_p1 * root(measured.P_s - measured.P_a1) / x_1
         up = up + w_2 * c.c_n2 * root(measured.P_a2 - self.P_r) / x_2
         down = w_1 * c.c_n1 * root(measured.P_a1 - self.P_r) / x_1

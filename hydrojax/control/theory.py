@@ -12,6 +12,7 @@ import numpy as np
 from hydrojax.control.adaptive import Estimates, mean_area, truth
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.control.simulation import Run
+from hydrojax.plant.valve import metering_edges
 
 ROUNDS, LANES = 4, 12
 """Rounds of the search for the least supply pressure, and runs side by side in each."""
@@ -73,7 +74,7 @@ def supply_condition(loop: Loop, scenario: Scenario, out: Run) -> float:
     """The right-hand side of (42) along a run, Pa; see `Supply`. For equal areas."""
     u = out["u"]
     busy = np.abs(u) >= np.max(np.abs(u)) / 10
-    c, beta = loop.law.nominal.lands, float(loop.rig.chambers.beta)
+    c, beta = metering_edges(loop.law.nominal.valve), float(loop.rig.chambers.beta)
     area = float(mean_area(loop.rig))
     P_s, P_r = (np.asarray(p[:, 0]) for p in (scenario.P_s, scenario.P_r))
     P_1, P_2 = out["true_P_a1"], out["true_P_a2"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 from jaxtyping import Array
 
@@ -102,14 +103,47 @@ EFFECTS: dict[str, type[Effect]] = {
 }
 
 
+Own = TypeVar("Own", bound=Effect)
+
+
+def effect(cls: type[Own]) -> type[Own]:
+    """Check an effect and add it to the vocabulary; a decorator, also in a notebook.
+
+    Rig files, identification, the trace and the reports then know it by its `name`. A
+    class that is defined again, as when a cell is run again, replaces the one before.
+
+    Args:
+        cls: derived from one of the base classes of this module, such as
+            `FrictionForce`.
+
+    Returns:
+        The class itself.
+
+    Raises:
+        InputError: the class is not a valid effect, or its name is taken; in one line
+            that says what to change.
+
+    Examples:
+        >>> @effect
+        ... class QuadraticDrag(FrictionForce):
+        ...     name = "quadratic_drag"
+        ...     residual_axis = "v"
+        ...     c: Array = param("N*s^2/m^2", 0.0, 0.0, 1e8, "drag", strength=True)
+        ...
+        ...     def force(self, at):
+        ...         return self.c * at.v * abs(at.v)
+    """
+    return registry.effect(cls, EFFECTS)
+
+
 def load_effects(path: str | Path) -> dict[str, type[Effect]]:
-    """Add the effects that a Python file defines; see `own.load_effects`."""
+    """Add the effects that a Python file defines; see `registry.load_effects`."""
     return registry.load_effects(path, EFFECTS)
 
 
 @cache
 def offered() -> dict[str, type[Effect]]:
-    """Add, once, the effects that installed packages offer; see `own.offered`."""
+    """Add, once, the effects that installed packages offer; see `registry.offered`."""
     return registry.offered(EFFECTS)
 
 
@@ -129,6 +163,7 @@ __all__ = [
     "StretchEffect",
     "SupplyEffect",
     "VolumeEffect",
+    "effect",
     "load_effects",
     "offered",
     "param",

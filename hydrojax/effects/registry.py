@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import equinox as eqx
 import jax
@@ -24,6 +24,8 @@ from hydrojax.errors import InputError
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.places import PLACES
+
+Own = TypeVar("Own", bound=Effect)
 
 GROUP = "hydrojax.effects"
 """Entry points under which a package offers effects: a class, or a module of them."""
@@ -116,6 +118,14 @@ def register(
         vocabulary[name] = effect
         _SOURCES[effect] = source
     return new
+
+
+def effect(cls: type[Own], vocabulary: dict[str, type[Effect]]) -> type[Own]:
+    """Check a class and add it to the vocabulary; see `hydrojax.effects.effect`."""
+    # By name and not by object: a notebook's cell that runs again makes a new class.
+    source = f"{cls.__module__}.{getattr(cls, '__qualname__', cls)}"
+    register([cls], vocabulary, "effect", source)
+    return cls
 
 
 _SOURCES: dict[type[Effect], str] = {}
@@ -253,4 +263,4 @@ def _try(
             )
 
 
-__all__ = ["GROUP", "file_of", "load_effects", "offered", "register"]
+__all__ = ["GROUP", "effect", "file_of", "load_effects", "offered", "register"]

@@ -15,6 +15,7 @@ from hydrojax import __version__
 from hydrojax.control.adaptive import LEAST_DROP, Estimates, Law
 from hydrojax.export.template import fill
 from hydrojax.export.tree import defaults_taken, rig_tree
+from hydrojax.plant.valve import metering_edges
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.controller import KEYS, si
 from hydrojax.rigfile.schema import RigFile
@@ -46,7 +47,8 @@ def firmware_of(spec: RigFile) -> dict[str, str]:
 def numbers(law: Law) -> dict[str, float | list[float]]:
     """What the C law's parameters are, by the names of `law_parameters`; SI."""
     nominal = law.nominal
-    chambers, lands, friction = nominal.chambers, nominal.lands, nominal.mechanics
+    chambers, friction = nominal.chambers, nominal.mechanics
+    lands = metering_edges(nominal.valve)
     length_1, length_2 = chambers.lengths(jnp.zeros(()))
     each = {
         "k_p": law.k_p, "k_f": law.k_f,

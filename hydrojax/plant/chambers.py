@@ -1,7 +1,7 @@
-"""Valve lands and chambers: flows (12)(13), pressure rates (14)(15).
+"""Chambers of fluid: volumes (10)(11) and pressure rates (14)(15).
 
-Pushes add: effects hand in flows into the chambers, compliances beside 1/beta and
-pressure drops ahead of the valve; each is zero when the effect is absent.
+Pushes add: effects hand in flows into the chambers and compliances beside 1/beta; each
+is zero when the effect is absent.
 """
 
 from __future__ import annotations
@@ -9,68 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
 
 from hydrojax.parameters import param
-
-LAMINAR_CORE = 2.0e3
-"""Width (Pa) of the laminar core of `root_flow`: it lowers the turbulent flow by
-`(core / drop)^2 / 4`, 4e-8 of it at a drop of 5 MPa, and 1 % at 10 kPa."""
-
-_C_UNIT = "m^3/(s*{u}*Pa^0.5)"
-
-
-def root_flow(
-    drop: ArrayLike, core: float = LAMINAR_CORE, wider: ArrayLike = 0.0
-) -> Array:
-    """Signed square root of a pressure drop with a laminar core, in Pa^0.5.
-
-    `drop / (drop^2 + core^2)^(1/4)`: odd, smooth, slope `core^-0.5` at zero, and
-    sqrt(drop) as `core` goes to 0 (the paper's (8)). `wider` is added to the square
-    of the core, Pa^2.
-    """
-    d = jnp.asarray(drop)
-    return d * per_fourth_root(d * d + (core * core + wider))
-
-
-@jax.custom_jvp
-def per_fourth_root(a: Array) -> Array:
-    """`a**(-1/4)` for a > 0, within 4 units of the last place.
-
-    By a guess from the bits and two steps of the series of (1 - t)^(-1/4): roots and
-    divisions queue for one unit of a processor, and a loop takes 32 of these a tick.
-    The derivative needs neither.
-    """
-    if a.dtype == jnp.float64:
-        whole, magic = jnp.int64, 0x4FEB000000000000
-    else:
-        whole, magic = jnp.int32, 0x4F580000
-    bits = jax.lax.bitcast_convert_type(a, whole)
-    y = jax.lax.bitcast_convert_type(magic - (bits >> 2), a.dtype)
-
-    def left(y):  # 1 - a y^4
-        return 1 - a * ((y * y) * (y * y))
-
-    t = left(y)
-    more = 0.25 + t * (5 / 32 + t * (15 / 128 + t * (195 / 2048 + t * (663 / 8192))))
-    y = y + y * (t * more)
-    t = left(y)
-    return y + y * (t * (0.25 + t * (5 / 32)))
-
-
-@per_fourth_root.defjvp
-def _slope(at, along):
-    (a,), (da,) = at, along
-    y = per_fourth_root(a)
-    y_2 = y * y
-    return y, (-0.25 * (y * y_2 * y_2)) * da
-
-
-def sides(spool: Array) -> tuple[Array, Array]:
-    """The spool's opening toward either side, both >= 0."""
-    return jnp.where(spool > 0, spool, 0.0), -jnp.where(spool > 0, 0.0, spool)
 
 
 class Point(NamedTuple):
@@ -88,63 +29,6 @@ class Point(NamedTuple):
     opening: tuple[Array, ...]
     x: Array
     v: Array
-
-
-class Lands(eqx.Module):
-    """The four metering edges of the valve, (12)(13)."""
-
-    c_p1: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "supply to chamber 1")
-    c_n1: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "chamber 1 to return")
-    c_p2: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "supply to chamber 2")
-    c_n2: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "chamber 2 to return")
-
-    def flows(
-        self, at: Point, drops: tuple = (), orifices: tuple = ()
-    ) -> tuple[Array, Array]:
-        """Flows into chambers 1 and 2, m^3/s.
-
-        `drops` are effects ahead of the valve: each maps the conductance of the edge
-        that draws on the supply (m^3/(s Pa^0.5)) and the pressure available across
-        it to a pressure drop. `orifices` are effects of the edges themselves: what
-        they add to the openings and to the square of the laminar core.
-        """
-        if len(at.opening) == 1 and not orifices:
-            return self._on_one_side(at, drops)
-        open_p, open_n = sides(*at.opening) if len(at.opening) == 1 else at.opening
-        for edge in orifices:
-            more_p, more_n = edge.opening(open_p - open_n)
-            open_p, open_n = open_p + more_p, open_n + more_n
-        wider = sum(edge.core() for edge in orifices)
-
-        def root(drop):
-            return root_flow(drop, wider=wider)
-
-        def drawn(edge, chamber):
-            available = at.P_s - chamber
-            return edge * root(available - sum(d.drop(edge, available) for d in drops))
-
-        q_1 = drawn(self.c_p1 * open_p, at.P_a1)
-        q_2 = drawn(self.c_p2 * open_n, at.P_a2)
-        q_1 = q_1 - self.c_n1 * open_n * root(at.P_a1 - at.P_r)
-        q_2 = q_2 - self.c_n2 * open_p * root(at.P_a2 - at.P_r)
-        return q_1, q_2
-
-    def _on_one_side(self, at: Point, drops: tuple) -> tuple[Array, Array]:
-        """The same where two of the four edges are shut: half of the roots."""
-        (spool,) = at.opening
-        up = spool > 0
-        size = jnp.where(up, spool, -spool)
-
-        def flow(draws, c_p, c_n, chamber):
-            edge = jnp.where(draws, c_p, c_n) * size
-            across = jnp.where(draws, at.P_s, at.P_r) - chamber
-            lost = sum(d.drop(edge, across) for d in drops)
-            return edge * root_flow(across - jnp.where(draws, lost, 0.0))
-
-        return (
-            flow(up, self.c_p1, self.c_n1, at.P_a1),
-            flow(~up, self.c_p2, self.c_n2, at.P_a2),
-        )
 
 
 class Chambers(eqx.Module):

@@ -17,7 +17,7 @@ from hydrojax.plant.rig import Rig
 
 def _parts(rig: Rig) -> Iterable[tuple[str, int | None, str, eqx.Module]]:
     """(attribute, index in its tuple, prefix of names, module)."""
-    for part in ("lands", "chambers", "mechanics"):
+    for part in ("valve", "chambers", "mechanics"):
         yield part, None, "", getattr(rig, part)
     for place in PLACES:
         for i, effect in enumerate(getattr(rig, place)):
@@ -44,7 +44,7 @@ def parameter_specs(rig: Rig) -> dict[str, Spec]:
 def hydraulic_names(rig: Rig) -> frozenset[str]:
     """Names of the parameters on which the pressures depend."""
     hydraulic = {place.name for place in PLACES.values() if place.hydraulic}
-    hydraulic |= {"lands", "chambers"}
+    hydraulic |= {"valve", "chambers"}
     return frozenset(n for n, at in _modules(rig).items() if at[0] in hydraulic)
 
 

@@ -12,12 +12,13 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import Chambers, Lands, Point, sides
+from hydrojax.plant.chambers import Chambers, Point
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import Layout
 from hydrojax.plant.places import PLACES
 from hydrojax.plant.state import State, StepInput
+from hydrojax.plant.valve import AbstractValve, MeteringEdges, sides
 
 PARTS = 4
 """Parts of a tick over which the command's path is run: within one, the spool's mean
@@ -31,7 +32,7 @@ class Rig(eqx.Module):
     chambers' areas only where a chamber is open (`single`).
     """
 
-    lands: Lands
+    valve: AbstractValve
     chambers: Chambers
     mechanics: Friction
     force_area_1: Array
@@ -97,7 +98,7 @@ class Rig(eqx.Module):
 
     def pressure_rates(self, at: Point) -> tuple[Array, Array]:
         """Rates of both chamber pressures, Pa/s; (12)-(15)."""
-        q_1, q_2 = self.lands.flows(at, self.supply, self.orifice)
+        q_1, q_2 = self.valve.flows(at, self.supply, self.orifice)
         for effect in self.flow:
             e_1, e_2 = effect.flow(at)
             q_1, q_2 = q_1 + e_1, q_2 + e_2
@@ -249,7 +250,7 @@ def bare_rig(layout: Layout, geometry: Mapping[str, float] | None = None) -> Rig
     chamber, force = layout.areas(g)
     length = jnp.asarray(g.get("chamber_length", 1.0), float)
     return Rig(
-        lands=Lands(),
+        valve=MeteringEdges(),
         chambers=Chambers(chamber[0], chamber[1], length),
         mechanics=Friction(),
         force_area_1=force[0],

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 from hydrojax.effects import EFFECTS, offered
 from hydrojax.parameters import Spec, specs
-from hydrojax.plant.chambers import Chambers, Lands
+from hydrojax.plant.chambers import Chambers
 from hydrojax.plant.friction import Friction
+from hydrojax.plant.valve import MeteringEdges
 
 GEOMETRY = {
     "area": "m^2", "area_1": "m^2", "area_2": "m^2",
@@ -22,10 +23,14 @@ SUPPLY_UNITS = {"P_s": "Pa", "P_r": "Pa"}
 LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
 """What [load] may hold, and the SI unit."""
 
-LANDS = tuple(specs(Lands))
+LANDS = tuple(specs(MeteringEdges))
 """The valve constants' names."""
 
-BASE: Mapping[str, Spec] = {**specs(Lands), **specs(Chambers), **specs(Friction)}
+BASE: Mapping[str, Spec] = {
+    **specs(MeteringEdges),
+    **specs(Chambers),
+    **specs(Friction),
+}
 """The base model's parameters, by name."""
 
 

@@ -108,7 +108,7 @@ def many(loop, scenario) -> Case:
         law, rig = loop.law, loop.rig
         return [
             law.k_p, law.k_f, *law.rate[1:], law.upper.k_cp, law.lower.k_fn,
-            rig.chambers.beta, rig.lands.c_n2, rig.mechanics.k_cn, rig.mechanics.z_ss,
+            rig.chambers.beta, rig.valve.c_n2, rig.mechanics.k_cn, rig.mechanics.z_ss,
             law.nominal.chambers.delta_1, law.nominal.mechanics.z_ss,
         ]  # fmt: skip
 

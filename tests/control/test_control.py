@@ -13,10 +13,11 @@ import pytest
 
 from hydrojax.control.adaptive import Estimates, Law, mean_area, project
 from hydrojax.control.base import Measured
-from hydrojax.plant.chambers import LAMINAR_CORE, Point
+from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.rig import bare_rig
+from hydrojax.plant.valve import LAMINAR_CORE
 
 SEVEN = ("k_cp", "k_cn", "k_0", "k_vp", "k_vn", "k_fp", "k_fn")
 NINE = ("k_1", "A_a", *SEVEN)
@@ -169,7 +170,7 @@ def make_nominal(layout: str, plant: dict = PLANT):
     a_1, a_2 = AREAS[layout]
     geometry = {"chamber_length": 0.2, "area": a_2, "area_1": a_1, "area_2": a_2}
     rig = bare_rig(LAYOUTS[layout], geometry)
-    for part in ("lands", "chambers", "mechanics"):
+    for part in ("valve", "chambers", "mechanics"):
         fields = [n for n in plant if hasattr(getattr(rig, part), n)]
         rig = eqx.tree_at(
             lambda r, part=part, fields=fields: [

@@ -6,6 +6,7 @@ sample to sample, with the float law of `test_control` deciding at each.
 
 from __future__ import annotations
 
+import inspect
 import math
 import warnings
 from collections.abc import Callable
@@ -25,10 +26,10 @@ from hydrojax.control.simulation import hold, make_scenario, simulate
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
-from hydrojax.plant.chambers import LAMINAR_CORE
 from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, Motion
 from hydrojax.plant.named import put
 from hydrojax.plant.rig import add
+from hydrojax.plant.valve import LAMINAR_CORE
 from hydrojax.rigfile.build import build_loop, effects_of
 from hydrojax.rigfile.schema import RigFile
 from tests.control.test_control import (
@@ -696,7 +697,7 @@ def test_the_least_supply_is_that_of_every_instant(
     scenario = make_scenario(desired(50), MOTIONS["driven"], H, P_S, P_R)
     scenario = scenario._replace(P_r=jnp.asarray(P_r))
     monkeypatch.setattr(theory, "run", lambda loop, scenario, keep: jnp.asarray(P))
-    monkeypatch.setattr(theory, "_stays", theory._stays.__wrapped__)
+    monkeypatch.setattr(theory, "_stays", inspect.unwrap(theory._stays))
     least = theory.least_supply(make_bench_loop(), scenario)
     assert least == pytest.approx(want, rel=5e-3) and least >= want
 
@@ -722,7 +723,7 @@ KNOBS = {
     "upper.k_cp": (lambda lo: lo.law.upper.k_cp, 1020.0),
     "tau_d": (lambda lo: lo.law.tau_d, 1e-3),
     "beta": (lambda lo: lo.rig.chambers.beta, 8.5e8),
-    "c_p1": (lambda lo: lo.rig.lands.c_p1, 2.24e-9),
+    "c_p1": (lambda lo: lo.rig.valve.c_p1, 2.24e-9),
     "k_cp": (lambda lo: lo.rig.mechanics.k_cp, 1250.0),
     "z_ss": (lambda lo: lo.rig.mechanics.z_ss, 60e-6),
     "tau_u": (lambda lo: lo.rig.command[0].tau_u, 1.1e-3),

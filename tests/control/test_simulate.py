@@ -161,7 +161,7 @@ def test_a_command_without_unit(load):
     law = build_loop(load(per_one)).law
     assert float(law.u_max) == 1.0
     assert float(law.k_p + law.k_f) * 8.5e8 == pytest.approx(360.0)
-    assert float(law.nominal.lands.c_p1) == pytest.approx(2.24e-8)
+    assert float(law.nominal.valve.c_p1) == pytest.approx(2.24e-8)
 
 
 def test_the_law_knows_the_file_and_not_its_effects(load):

@@ -11,6 +11,7 @@ import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomlkit
@@ -151,7 +152,7 @@ def commands(path: Path) -> list[str]:
 
 def parse(line: str) -> typer.Context | None:
     """Take a command line apart as the program does, without running it."""
-    group = typer.main.get_command(cli.app)
+    group: Any = typer.main.get_command(cli.app)
     words = cli.spread(shlex.split(line, comments=True)[1:])
     context = group.make_context("hydrojax", words)
     name, command, rest = group.resolve_command(

@@ -8,6 +8,7 @@ import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+import jax.numpy as jnp
 import pandas as pd
 import pytest
 
@@ -231,3 +232,57 @@ def test_no_such_file_is_refused(call, vocabulary, case, tmp_path):
     )
     assert code == 2
     assert str(gone) in err and len(err.strip().splitlines()) == 1
+
+
+# -- the decorator --
+
+
+def define(strength: float):
+    """What a notebook's cell does: a class of one name, made anew at every run."""
+
+    @effects.effect
+    class CellDrag(effects.FrictionForce):
+        name = "cell_drag"
+        residual_axis = "v"
+        c: effects.Array = effects.param(
+            "N*s^2/m^2", 0.0, 0.0, 1e8, "drag", strength=True, size=1e3
+        )
+
+        def force(self, at):
+            return strength * self.c * at.v * jnp.abs(at.v)
+
+    return CellDrag
+
+
+def test_a_cell_that_runs_again_replaces_its_effect(vocabulary):
+    first, second = define(1.0), define(2.0)
+    assert first is not second and EFFECTS["cell_drag"] is second
+
+
+def test_the_decorator_refuses_what_is_no_effect(vocabulary):
+    with pytest.raises(InputError, match="is not 0 when c = 0"):
+
+        @effects.effect
+        class Offset(effects.FrictionForce):
+            name = "always_there"
+            residual_axis = "v"
+            c: effects.Array = effects.param(
+                "N", 0.0, 0.0, 1e3, "offset", strength=True
+            )
+
+            def force(self, at):
+                return self.c + 1.0
+
+    assert "always_there" not in EFFECTS
+    with pytest.raises(InputError, match="'stribeck' is taken"):
+
+        @effects.effect
+        class Twice(effects.FrictionForce):
+            name = "stribeck"
+            residual_axis = "v"
+            c: effects.Array = effects.param(
+                "N", 0.0, 0.0, 1e3, "offset", strength=True
+            )
+
+            def force(self, at):
+                return self.c

@@ -335,7 +335,7 @@ def test_the_law_in_c_is_the_law_of_the_simulator(case, tmp_path, compiler):
     loop, run = closed_loop(spec, 6.0)
     names = loop.law.rate._fields
     rig, state = ctypes.addressof(ctypes.c_char.in_dll(law, "law_rig")), Memory()
-    seen = np.stack([run[name] for name, _ in Reading._fields_], axis=1)
+    seen = np.stack([run[field[0]] for field in Reading._fields_], axis=1)
     u, estimates = np.empty(run.t.size), np.empty((run.t.size, 9))
     for k, (row, F_d) in enumerate(zip(seen, run.F_d, strict=True)):
         reading = Reading(*row)

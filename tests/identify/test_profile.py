@@ -37,8 +37,8 @@ class Valley:
     def solve(self, values, names, weights=None):
         at = values.copy()
         assert names == ("b",)
-        best: Any = optimize.minimize_scalar(lambda b: self.chi2(at[0], b))
-        at[1] = best.x
+        found: Any = optimize.minimize_scalar(lambda b: self.chi2(at[0], b))
+        at[1] = found.x
         out = type("Fit", (), {"cost": self.chi2(*at) / 2})
         return at, out
 

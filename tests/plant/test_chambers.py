@@ -1,15 +1,18 @@
 """Flows and pressure rates against the paper's formulas, in plain NumPy."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from hydrojax.effects import EFFECTS
-from hydrojax.plant.chambers import Chambers, Point, per_fourth_root, root_flow
+from hydrojax.plant.chambers import Chambers, Point
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.named import get, put
 from hydrojax.plant.rig import bare_rig
+from hydrojax.plant.valve import per_fourth_root, root_flow
 
 LANDS = ("c_p1", "c_n1", "c_p2", "c_n2")
 FAR = 1e-6
@@ -29,7 +32,7 @@ def point(u: float = 0.0, opening: tuple[float, ...] = (), **other: float) -> Po
     return Point(**at, opening=tuple(np.float64(o) for o in opening or (u,)))
 
 
-def paper_flows(c: dict[str, float], at: Point, u: float) -> tuple[float, float]:
+def paper_flows(c: dict[str, float], at: Point, u: float) -> tuple[Any, Any]:
     """(12)(13), case by case."""
     if u > 0:
         return (
@@ -89,7 +92,7 @@ def test_root_has_a_finite_slope_everywhere():
 @pytest.mark.parametrize("u", [3.0, 0.1, 0.0, -0.1, -7.0])
 def test_flows_are_the_papers(rig, u):
     at = point(u)
-    flows = rig.lands.flows(at)
+    flows = rig.valve.flows(at)
     assert np.allclose(flows, paper_flows(lands_of(rig), at, u), rtol=FAR, atol=0)
 
 
@@ -101,7 +104,7 @@ def test_each_land_meters_its_own_edge(rig, land, chamber, u):
     """No other way of the spool and no other chamber feels a land."""
 
     def flows(c, u):
-        return np.asarray(put(rig, [land], [c]).lands.flows(point(u)))
+        return np.asarray(put(rig, [land], [c]).valve.flows(point(u)))
 
     c = lands_of(rig)[land]
     once, twice = flows(c, u), flows(2 * c, u)
@@ -111,22 +114,22 @@ def test_each_land_meters_its_own_edge(rig, land, chamber, u):
 
 
 def test_flow_turns_round_outside_supply_and_return(rig):
-    fill, drain = rig.lands.flows(point(1.0, P_a1=15e6, P_a2=0.1e6))
+    fill, drain = rig.valve.flows(point(1.0, P_a1=15e6, P_a2=0.1e6))
     c = lands_of(rig)
     assert fill == pytest.approx(-c["c_p1"] * np.sqrt(1e6), rel=1e-5)
     assert drain == pytest.approx(c["c_n2"] * np.sqrt(0.15e6), rel=1e-4)
 
 
 def test_a_spool_that_crosses_zero_opens_both_sides(rig):
-    both = rig.lands.flows(point(opening=(0.3, 0.2)))
-    each = [rig.lands.flows(point(u)) for u in (0.3, -0.2)]
+    both = rig.valve.flows(point(opening=(0.3, 0.2)))
+    each = [rig.valve.flows(point(u)) for u in (0.3, -0.2)]
     assert np.allclose(both, np.sum(each, axis=0), rtol=1e-14)
 
 
 @pytest.mark.parametrize("u", [-0.4, 0.0, 0.4])
 def test_a_spool_on_one_side_flows_as_with_both_edges_written_out(rig, u):
-    slow = rig.lands.flows(point(opening=(max(u, 0.0), max(-u, 0.0))))
-    assert np.allclose(rig.lands.flows(point(u)), slow, rtol=1e-14, atol=0)
+    slow = rig.valve.flows(point(opening=(max(u, 0.0), max(-u, 0.0))))
+    assert np.allclose(rig.valve.flows(point(u)), slow, rtol=1e-14, atol=0)
 
 
 def test_fourth_root_is_right_to_the_last_places_over_all_that_can_come():
@@ -217,7 +220,7 @@ def test_orifice_transition_is_its_formula(rig):
         return drop / (drop**2 + 1.5e6**2) ** 0.25
 
     want = (c["c_p1"] * 2 * root(9e6), -c["c_n2"] * 2 * root(6.25e6))
-    got = rig.lands.flows(at, orifices=(effect,))
+    got = rig.valve.flows(at, orifices=(effect,))
     assert np.allclose(got, want, rtol=FAR, atol=0)
 
 
@@ -232,7 +235,7 @@ def test_underlap_opens_all_edges_near_zero(rig, u):
         c["c_p1"] * up * supply_1 - c["c_n1"] * down * back_1,
         c["c_p2"] * down * supply_2 - c["c_n2"] * up * back_2,
     )
-    got = rig.lands.flows(at, orifices=(EFFECTS["underlap"](u_ul=lap),))
+    got = rig.valve.flows(at, orifices=(EFFECTS["underlap"](u_ul=lap),))
     assert np.allclose(got, want, rtol=FAR, atol=1e-18)
 
 

@@ -6,10 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hydrojax.control.base import AbstractController
 from hydrojax.control.loop import run
 from hydrojax.control.simulation import hold, make_scenario
 from hydrojax.effects import EFFECTS
 from hydrojax.export import stepping
+from hydrojax.parameters import param
 from hydrojax.plant.load import Driven
 from hydrojax.plant.named import put
 from hydrojax.plant.rig import Rig, add
@@ -47,37 +49,23 @@ def by_library(rig: Rig) -> float:
     return float(read["F"][-1])
 
 
-class Held(eqx.Module):
-    """The paper's law, but for the command, which is constant."""
+class Held(AbstractController):
+    """A command that is constant."""
 
-    law: eqx.Module
-    u: jax.Array
+    u_max: jax.Array = param("{u}", U, 0.0, 10.0, "the command")
 
-    @property
-    def nominal(self) -> Rig:
-        return self.law.nominal
+    def init(self, measured, F_d):
+        return ()
 
-    def init(self, seen, F_d):
-        return self.law.init(seen, F_d)
-
-    def step(self, memory, seen, F_d, h):
-        memory, _, signals = self.law.step(memory, seen, F_d, h)
-        return memory, self.u, signals
+    def step(self, memory, measured, F_d, h):
+        return memory, self.u_max, {}
 
 
 def by_loop(rig: Rig) -> float:
     loop = make_bench_loop(Driven(), effects=False)
-    loop = eqx.tree_at(
-        lambda lo: (lo.rig, lo.law), loop, (rig, Held(loop.law, jnp.asarray(U)))
-    )
+    loop = eqx.tree_at(lambda lo: (lo.rig, lo.law), loop, (rig, Held()))
     scenario = make_scenario(np.zeros(TICKS + 1), hold(X), H, P_S, P_R)
-    return float(jax.jit(run)(loop, scenario)[-1, _signal("true_F")])
-
-
-def _signal(name: str) -> int:
-    from hydrojax.control.loop import SIGNALS
-
-    return SIGNALS.index(name)
+    return float(eqx.filter_jit(run)(loop, scenario, ("true_F",))[-1, 0])
 
 
 def by_fmu(rig: Rig) -> float:

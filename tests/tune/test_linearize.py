@@ -7,6 +7,8 @@ spectrum is `scipy.signal`.
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -145,7 +147,7 @@ def test_small_measured_is_linearised_within_2_percent(setting, known, response,
     )  # fmt: skip
     given = measure.multisine(1000.0, period=1.0, lines=24)
     got = measure.measure(s, given, frozen=True)
-    H = np.asarray(response(s)[0])[:, 0, 0]
+    H: Any = np.asarray(response(s)[0])[:, 0, 0]
     at = np.interp(given.hertz, HERTZ, H.real) + 1j * np.interp(
         given.hertz, HERTZ, H.imag
     )
@@ -183,7 +185,7 @@ def test_the_edge_without_friction_is_near_600_rad_per_s(setting, known, states)
 def test_margins_are_scipy_s():
     """A sampled loop whose margins are found by root finding on scipy's response."""
     h = 1e-3
-    b, a, _ = signal.cont2discrete(([200.0 * 600], [1.0, 600.0, 0.0]), h)
+    b, a, _ = cast(Any, signal.cont2discrete)(([200.0 * 600], [1.0, 600.0, 0.0]), h)
     b = np.concatenate([[0.0, 0.0], np.atleast_1d(np.squeeze(b))])  # two late
 
     def L(f):
@@ -207,7 +209,7 @@ def test_bandwidths_of_a_butterworth_low_pass_by_closed_form():
     """Second order: |H|^2 is 1 / (1 + (f/40)^4), and the phase is -90 deg at 40 Hz."""
     hertz = metrics.grid(1000.0, 2000)
     H = np.zeros((hertz.size, 2, 5), complex)
-    b, a = signal.butter(2, 40.0, analog=True)
+    b, a = cast(Any, signal.butter)(2, 40.0, analog=True)
     H[:, 0, 0] = signal.freqs(b, a, hertz)[1]
     H[:, 1, 1] = 0.5
     found = metrics.loop_metrics(jnp.asarray(hertz), jnp.asarray(H), jnp.asarray(0.5))
