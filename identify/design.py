@@ -38,8 +38,7 @@ from hydrojax.identify.experiment import (
     variances,
     waves,
 )
-from hydrojax.parameters import specs
-from hydrojax.plant.named import parameter_specs
+from hydrojax.parameters import parameter_specs, specs
 from hydrojax.rigfile.build import build_loop, build_rig, over_travel
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.units import with_command

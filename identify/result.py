@@ -18,7 +18,7 @@ from hydrojax.identify.report.figures import every_parameter, judged
 from hydrojax.identify.report.write import write_report
 from hydrojax.identify.results import show
 from hydrojax.identify.results.outcome import Effect, Outcome
-from hydrojax.plant.named import get, parameter_specs, put
+from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile

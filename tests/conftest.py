@@ -12,8 +12,8 @@ import pytest
 
 from hydrojax import cli
 from hydrojax.jax_setup import set_up_jax
+from hydrojax.parameters import put
 from hydrojax.plant.layout import LAYOUTS
-from hydrojax.plant.named import put
 from hydrojax.plant.replay import Motion, Windows
 from hydrojax.plant.rig import Rig, bare_rig
 from tests import generator

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant.load import Inertia
-from hydrojax.plant.named import get, parameter_specs, put
 from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune.ensemble import Plants

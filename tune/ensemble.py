@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.errors import InputError
-from hydrojax.plant.named import get, parameter_specs
+from hydrojax.parameters import get, parameter_specs
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune.findings import Findings
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.errors import InputError
-from hydrojax.plant.named import parameter_specs, put
+from hydrojax.parameters import parameter_specs, put
 from hydrojax.rigfile.quantities import Setting
 
 

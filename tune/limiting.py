@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import equinox as eqx
 import numpy as np
 
-from hydrojax.plant.named import get, parameter_specs
+from hydrojax.parameters import get, parameter_specs
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune.ensemble import Plants
 from hydrojax.tune.metrics import minimum

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from hydrojax.control.inputs import to_and_fro
 from hydrojax.control.loop import Scenario, run
 from hydrojax.control.simulation import make_scenario
-from hydrojax.plant.named import put
+from hydrojax.parameters import put
 from hydrojax.rigfile.quantities import Quantity, Setting
 from hydrojax.tune import linearize, metrics, operating_point
 from hydrojax.tune.ensemble import Plants

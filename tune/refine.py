@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from scipy import optimize
 
 from hydrojax.control.loop import Loop, Scenario, run
-from hydrojax.plant.named import put
+from hydrojax.parameters import put
 from hydrojax.tune.ensemble import Plants
 
 SETTLE = 0.25

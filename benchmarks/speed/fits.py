@@ -169,7 +169,7 @@ def by_optimistix(folder: str, normal: bool) -> Build:
     import lineax as lx
     import optimistix as optx
 
-    from hydrojax.plant.named import put
+    from hydrojax.parameters import put
 
     from .replays import NAMES
 
@@ -204,7 +204,7 @@ def cost(folder: str, params: list[float]) -> Build:
     import jax
     import jax.numpy as jnp
 
-    from hydrojax.plant.named import put
+    from hydrojax.parameters import put
 
     from .replays import NAMES
 

@@ -30,7 +30,7 @@ def write_case(folder: str | Path, seconds: float) -> None:
     import equinox as eqx
 
     from hydrojax.control import simulation
-    from hydrojax.plant.named import get
+    from hydrojax.parameters import get
     from hydrojax.rigfile import recording
     from hydrojax.rigfile.build import build_loop
     from hydrojax.rigfile.schema import RigFile

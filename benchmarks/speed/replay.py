@@ -33,7 +33,7 @@ def own_forward(folder: str) -> Build:
     import jax
     import jax.numpy as jnp
 
-    from hydrojax.plant.named import put
+    from hydrojax.parameters import put
 
     from .replays import NAMES
 

@@ -15,8 +15,9 @@ from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.export.stepping import SAME, Drive, advance, begin, has_queue, ticks_of
 from hydrojax.export.tree import identifier, meaning, plant
+from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant.layout import Layout
-from hydrojax.plant.named import get, hydraulic_names, parameter_specs, put
+from hydrojax.plant.places import hydraulic_names
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.schema import RigFile

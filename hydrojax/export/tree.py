@@ -16,8 +16,8 @@ from hydrojax import units
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.logs.signals import SIGNALS
-from hydrojax.parameters import Spec, specs
-from hydrojax.plant.named import get, hydraulic_names
+from hydrojax.parameters import Spec, get, specs
+from hydrojax.plant.places import hydraulic_names
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_loop, build_rig
 from hydrojax.rigfile.controller import (

@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import equinox as eqx
+
+from hydrojax.parameters import paths
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.effect import (
     CommandChannel,
@@ -86,3 +89,19 @@ PLACES: Mapping[str, Place] = MappingProxyType(
 def place_of(effect: Effect | type[Effect]) -> Place:
     """The place at which an effect acts."""
     return PLACES[effect.place]
+
+
+def hydraulic_names(rig: eqx.Module) -> frozenset[str]:
+    """Names of the parameters on which the chamber pressures depend."""
+    parts = {place.name for place in PLACES.values() if place.hydraulic}
+    parts |= {"valve", "chambers"}
+    return frozenset(name for name, path in paths(rig).items() if path[0] in parts)
+
+
+def gauge_names(rig: eqx.Module) -> frozenset[str]:
+    """Names of the parameters of the pressure sensors, beside those of the pressures.
+
+    Residuals of the pressures depend on them, the pressures themselves do not.
+    """
+    parts = {place.name for place in PLACES.values() if place.gauge}
+    return frozenset(name for name, path in paths(rig).items() if path[0] in parts)

@@ -12,9 +12,9 @@ from hydrojax.control.loop import Loop, Sensors
 from hydrojax.effects import EFFECTS, offered
 from hydrojax.effects.valve import QUEUE, ValveDelay
 from hydrojax.errors import InputError
+from hydrojax.parameters import get, put
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.load import Driven, Inertia
-from hydrojax.plant.named import get, put
 from hydrojax.plant.rig import Rig, add, bare_rig
 from hydrojax.rigfile.controller import (
     ENCODER,

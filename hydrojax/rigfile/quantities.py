@@ -25,9 +25,8 @@ from hydrojax.control.adaptive import RATES, Estimates, Law
 from hydrojax.control.loop import Loop
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
-from hydrojax.parameters import specs
+from hydrojax.parameters import get, parameter_specs, put, specs
 from hydrojax.plant.load import Inertia
-from hydrojax.plant.named import get, parameter_specs, put
 from hydrojax.rigfile.build import build_loop, build_rig
 from hydrojax.rigfile.controller import KEYS, file_keys, si, valve_gain
 from hydrojax.rigfile.schema import RigFile

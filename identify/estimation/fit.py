@@ -6,27 +6,40 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.plant.named import gauge_names
+from hydrojax.plant.places import gauge_names
 
 
 @dataclass(frozen=True)
 class Point:
-    """Where a fit stands: all values, and the channels' weights it was made with."""
+    """Where a fit stands.
 
-    values: np.ndarray
-    weights: np.ndarray
+    Attributes:
+        values: of all parameters of the model, SI.
+        weights: each channel's standard deviation that the fit was made with, SI; inf
+            where it was not compared.
+        steps: of the last fit.
+        converged: whether it did.
+    """
+
+    values: Float[np.ndarray, "n"]
+    weights: Float[np.ndarray, "3"]
     steps: int
     converged: bool
 
 
-def only(noise: np.ndarray, channels: np.ndarray) -> np.ndarray:
+def only(
+    noise: Float[np.ndarray, "3"], channels: Bool[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
     """The noise, with the other channels not compared."""
     return np.where(channels, noise, np.inf)
 
 
-def reweighted(noise: np.ndarray, rms: np.ndarray, above: float) -> np.ndarray:
+def reweighted(
+    noise: Float[np.ndarray, "3"], rms: Float[np.ndarray, "3"], above: float
+) -> Float[np.ndarray, "3"]:
     """The noise, or the misfit of a channel where it is `above` times the noise.
 
     Given the weight of its noise such a channel would bend the parameters of the
@@ -37,7 +50,7 @@ def reweighted(noise: np.ndarray, rms: np.ndarray, above: float) -> np.ndarray:
 
 
 def fit(
-    problem: Problem, values: np.ndarray, free: Sequence[str]
+    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
 ) -> tuple[Problem, Point]:
     """Fit the free parameters to all channels, in the order of the signal path.
 
@@ -51,7 +64,7 @@ def fit(
 
 
 def fit_force(
-    problem: Problem, values: np.ndarray, free: Sequence[str]
+    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
 ) -> tuple[Problem, Point]:
     """The second half of `fit`, from hydraulics that fit the pressures already."""
     noise = np.asarray(problem.batch.noise)
@@ -68,7 +81,10 @@ def fit_force(
 
 
 def fit_jointly(
-    problem: Problem, values: np.ndarray, free: Sequence[str], weights: np.ndarray
+    problem: Problem,
+    values: Float[np.ndarray, "n"],
+    free: Sequence[str],
+    weights: Float[np.ndarray, "3"],
 ) -> tuple[Problem, Point]:
     """Fit everything free at once from nearby, each channel at its weight."""
     noise, own = np.asarray(problem.batch.noise), problem.criteria
@@ -90,8 +106,8 @@ def fit_jointly(
 
 
 def fit_pressures(
-    problem: Problem, values: np.ndarray, free: Sequence[str]
-) -> tuple[Problem, np.ndarray]:
+    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
+) -> tuple[Problem, Float[np.ndarray, "n"]]:
     """Fit the free parameters that the pressures see, on the pressures alone."""
     noise = only(np.asarray(problem.batch.noise), PRESSURES)
     gauges = gauge_names(problem.model.rig)

@@ -24,7 +24,7 @@ from hydrojax.identify.estimation.columns import (
     Basis,
     Batch,
     Model,
-    driven,
+    driven_pressures,
     recall,
     sensitivities,
 )
@@ -92,7 +92,7 @@ def _of_windows(
 
     def side_by_side(windows, P_0, weight):
         own = batch._replace(windows=windows, P_0=P_0, weight=weight)
-        pressure = driven(model, values, directions, own, simulate)
+        pressure = driven_pressures(model, values, directions, own, simulate)
         # Windows first, as all that is cut into handfuls has them.
         by = jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), pressure.by)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from hydrojax.identify.estimation.columns import Batch, Model, basis, slot_names
 from hydrojax.identify.estimation.coupled import agreed, stretched
@@ -24,7 +24,7 @@ from hydrojax.identify.estimation.solve import Fit
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.parameters import Spec
-from hydrojax.plant.named import gauge_names
+from hydrojax.plant.places import gauge_names
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.schema import RigFile
 
@@ -52,18 +52,21 @@ class Free:
 
 @dataclass(frozen=True)
 class Known:
-    """What other logs tell of parameters: their values there, SI, and the curvature
-    [k, k] of that fit, in units of the scales, priors counted.
+    """Parameters as other logs identify them: their values there, SI, and the curvature
+    of that fit, in units of the scales, priors counted.
     """
 
     names: tuple[str, ...]
-    values: np.ndarray
-    curvature: np.ndarray
+    values: Float[np.ndarray, "k"]
+    curvature: Float[np.ndarray, "k k"]
 
     def rows(
-        self, columns: Sequence[str | None], at: np.ndarray, scale: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Residual rows [k, k] by column, and their value with the columns `at`."""
+        self,
+        columns: Sequence[str | None],
+        at: Float[np.ndarray, "columns"],
+        scale: Float[np.ndarray, "columns"],
+    ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, "columns"]]:
+        """Residual rows by column, and their value with the columns `at`."""
         sizes, vectors = np.linalg.eigh(self.curvature)
         root = (vectors * np.sqrt(np.maximum(sizes, 0.0))).T
         slope = np.zeros((len(columns), len(columns)))
@@ -97,8 +100,8 @@ class Problem:
 
     `declared` counts the free parameters of the rig file, hydraulic and other.
 
-    `symmetric` holds k_cp and k_cn equal, for logs that do not tell a difference of
-    the two from an offset k_0. `known` is what other logs tell, in place of priors;
+    `symmetric` holds k_cp and k_cn equal, for logs that do not distinguish a difference
+    of the two from an offset k_0. `known` is what other logs give, in place of priors;
     `criteria` the thresholds of whatever is decided on it.
     """
 
@@ -143,10 +146,10 @@ class Problem:
 
     def solve(
         self,
-        values: np.ndarray,
+        values: Float[np.ndarray, "n"],
         free: Sequence[str] | None = None,
-        noise: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, Fit]:
+        noise: Float[np.ndarray, "3"] | None = None,
+    ) -> tuple[Float[np.ndarray, "n"], Fit]:
         """Move `free` from `values` to the best fit; returns all values, and how.
 
         `noise` stands in for the problem's own where a part of the
@@ -209,7 +212,11 @@ class Problem:
             difference = (at[pair[0]] - at[pair[1]]) / tied
         return jnp.asarray(slope), jnp.asarray([*value, difference])
 
-    def sums_at(self, values: np.ndarray, noise: np.ndarray | None = None) -> Sums:
+    def sums_at(
+        self,
+        values: Float[np.ndarray, "n"],
+        noise: Float[np.ndarray, "3"] | None = None,
+    ) -> Sums:
         """The windows' sums at `values`, along every parameter of the model."""
         batch = self.batch
         if noise is not None:
@@ -218,8 +225,10 @@ class Problem:
         every = basis(self.model, self.model.names, (n, len(self.model.names) - n))
         return self._evaluate(values, every, batch)
 
-    def residuals_at(self, values: np.ndarray) -> np.ndarray:
-        """Measured minus replayed, [W, T, 3], SI.
+    def residuals_at(
+        self, values: Float[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "windows ticks 3"]:
+        """Measured minus replayed, SI.
 
         What gives follows the force that is replayed; see `coupled`.
         """
@@ -262,8 +271,10 @@ class Problem:
             left = np.where(better[:, None, None], there, left)
         return self.batch._replace(P_0=best), left
 
-    def errors_at(self, values: np.ndarray) -> np.ndarray:
-        """Squared residuals by window and channel, [W, 3], SI."""
+    def errors_at(
+        self, values: Float[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "windows 3"]:
+        """Sum of squared residuals by window and channel, SI."""
         return np.sum(self.residuals_at(values) ** 2, axis=1)
 
     def _evaluate(self, values, directions, batch) -> Sums:
@@ -275,7 +286,7 @@ class Problem:
         """What was found of the windows, without those that only fill up."""
         return jax.tree.map(lambda a: np.asarray(a)[: len(self.batch.P_0)], found)
 
-    def restarted(self, at: Sums, values: np.ndarray) -> Problem:
+    def restarted(self, at: Sums, values: Float[np.ndarray, "n"]) -> Problem:
         """The problem with each window's initial pressures moved to their estimate.
 
         `at` are the windows' sums at `values`.
@@ -285,7 +296,7 @@ class Problem:
             return replace(self, batch=self._begun(values)[0])
         return replace(self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :2, -1]))
 
-    def initial_values(self) -> np.ndarray:
+    def initial_values(self) -> Float[np.ndarray, "n"]:
         """The rig's values, with every free parameter at its start."""
         values = np.array(self.model.values)
         for name, f in self.free.items():
@@ -308,8 +319,10 @@ class Problem:
         n = self.model.hydraulic
         return tuple(x for x in names if (self.model.names.index(x) < n) == hydraulic)
 
-    def rms(self, sse: Array | np.ndarray) -> np.ndarray:
-        """Root mean square by channel, [3], SI, of squared residuals [W, 3]."""
+    def rms(
+        self, sse: Float[Array | np.ndarray, "windows 3"]
+    ) -> Float[np.ndarray, "3"]:
+        """Root mean square by channel, SI, of the windows' squared residuals."""
         ticks = self.batch.windows.measured.shape[1]
         return np.sqrt(
             np.sum(np.asarray(sse), axis=0) / (np.sum(self.batch.weight) * ticks)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from hydrojax.errors import InputError
 from hydrojax.identify.preparation.noise import (
@@ -37,9 +38,9 @@ class Data:
     Attributes:
         motion: see `Motion`; S segments.
         windows: see `Windows`; W windows.
-        P_0: [W, 2] first guess of the pressures at each window's first tick, Pa.
-        log: [W] which log each window comes from.
-        noise: [3] standard deviation of each channel's noise, SI; inf if not compared.
+        P_0: first guess of the pressures at each window's first tick, Pa.
+        log: which log each window comes from.
+        noise: standard deviation of each channel's noise, SI; inf if not compared.
         supply_noise: standard deviation of the measured P_s, Pa; 0 if not measured.
         driven_by: `u`, or what else drives the replay.
         band: Hz up to which acceleration (and, without u, speed and force) is taken.
@@ -50,9 +51,9 @@ class Data:
 
     motion: Motion
     windows: Windows
-    P_0: np.ndarray
-    log: np.ndarray
-    noise: np.ndarray
+    P_0: Float[np.ndarray, "windows 2"]
+    log: Int[np.ndarray, "windows"]
+    noise: Float[np.ndarray, "3"]
     supply_noise: float
     driven_by: str
     band: float
@@ -65,7 +66,7 @@ def prepare(
     logs: Sequence[Log],
     spec: RigFile,
     horizon: float = 0.25,
-    noise: np.ndarray | None = None,
+    noise: Float[np.ndarray, "3"] | None = None,
     sign: float = 1.0,
     band: float | None = None,
     criteria: Criteria = Criteria(),
@@ -76,8 +77,8 @@ def prepare(
         logs: as `Log.load` gives them, all with the same signals.
         spec: the rig they were recorded on.
         horizon: length of a window, s.
-        noise: [3] to be used, or None to take the rig file's or estimate it.
-        sign: -1 turns the motion round.
+        noise: of each channel; None to take the rig file's, or estimate it.
+        sign: -1 reverses the motion.
         band: Hz up to which acceleration is taken; None to find it.
         criteria: how much is read, and up to which band.
 

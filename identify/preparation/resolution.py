@@ -16,6 +16,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from hydrojax.identify.estimation.coupled import answer
 from hydrojax.identify.estimation.fit import fit as fit_all
@@ -40,7 +41,10 @@ from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.recording import position
 from hydrojax.rigfile.schema import RigFile
 
-Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Change = Callable[
+    [Float[np.ndarray, "rows"], Float[np.ndarray, "rows"]], Float[np.ndarray, "rows"]
+]
+"""What makes another signal of times (s) and a signal."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +61,8 @@ class Resolved:
     smoothed: Callable[[Log], Log] = lambda log: log
 
 
-Ready = Callable[[Sequence[Log], np.ndarray], Data]
-"""What makes logs ready, with a noise of the channels [3], SI."""
+Ready = Callable[[Sequence[Log], Float[np.ndarray, "3"]], Data]
+"""What makes logs ready, with a noise of the channels, SI."""
 
 
 def resolve(
@@ -95,12 +99,12 @@ def resolve(
 
 
 class Smoothed(NamedTuple):
-    """Logs with what drives smoothed, the channels' noise [3] with it, SI, a remark,
+    """Logs with what drives smoothed, the channels' noise with it, SI, a remark,
     and what smooths another log.
     """
 
     logs: tuple[Log, ...]
-    noise: np.ndarray
+    noise: Float[np.ndarray, "3"]
     note: str
     change: Callable[[Log], Log]
 

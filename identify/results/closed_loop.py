@@ -11,7 +11,7 @@ from hydrojax.control.simulation import simulate
 from hydrojax.identify.results.outcome import LoopCheck
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
-from hydrojax.plant.named import get, parameter_specs, put
+from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.rigfile.build import build_loop, build_rig
 from hydrojax.rigfile.entries import Entry
 from hydrojax.rigfile.recording import longest, rerun

@@ -12,8 +12,7 @@ from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import Effect, Parameter
 from hydrojax.identify.tracing.state import Tracing
-from hydrojax.parameters import Spec
-from hydrojax.plant.named import parameter_specs
+from hydrojax.parameters import Spec, parameter_specs
 from hydrojax.units import with_command
 
 if TYPE_CHECKING:

@@ -200,7 +200,7 @@ def test_the_peers_own_solver_finds_scipys_minimum():
 
 
 def test_a_case_starts_off_and_its_noise_is_known(tmp_path):
-    from hydrojax.plant.named import get
+    from hydrojax.parameters import get
 
     logs.write_case(tmp_path, 4.0)
     case, made = logs.opened(str(tmp_path)), logs.problem(str(tmp_path))

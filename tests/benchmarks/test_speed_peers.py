@@ -19,8 +19,8 @@ from hydrojax.control.inputs import sines, to_and_fro
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.control.simulation import make_scenario
 from hydrojax.effects import EFFECTS
+from hydrojax.parameters import get, put
 from hydrojax.plant.load import Inertia
-from hydrojax.plant.named import get, put
 from hydrojax.plant.replay import friction_memory, pressures, readings
 from hydrojax.plant.rig import add
 from hydrojax.rigfile.build import build_loop

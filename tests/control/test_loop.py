@@ -26,8 +26,8 @@ from hydrojax.control.simulation import hold, make_scenario, simulate
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
+from hydrojax.parameters import put
 from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, Motion
-from hydrojax.plant.named import put
 from hydrojax.plant.rig import add
 from hydrojax.plant.valve import LAMINAR_CORE
 from hydrojax.rigfile.build import build_loop, effects_of

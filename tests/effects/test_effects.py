@@ -21,10 +21,9 @@ from hydrojax.identify.estimation.columns import (
     recall,
     sensitivities,
 )
-from hydrojax.parameters import specs
+from hydrojax.parameters import get, parameter_specs, put, specs
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding, run_linear
-from hydrojax.plant.named import get, parameter_specs, put
 from hydrojax.plant.places import PLACES
 from hydrojax.plant.replay import friction_memory, pressures, readings
 from hydrojax.plant.rig import add

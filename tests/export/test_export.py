@@ -22,7 +22,7 @@ from scipy.io import loadmat
 from hydrojax import export
 from hydrojax.control.simulation import simulate
 from hydrojax.errors import InputError
-from hydrojax.plant.named import put
+from hydrojax.parameters import put
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import start, step
 from hydrojax.rigfile import recording

@@ -9,7 +9,7 @@ import pytest
 from hydrojax.control.simulation import simulate
 from hydrojax.identify.results.closed_loop import check_loop, identified
 from hydrojax.logs.log import Log
-from hydrojax.plant.named import get, parameter_specs
+from hydrojax.parameters import get, parameter_specs
 from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import build_loop, build_rig
 from hydrojax.rigfile.schema import RigFile

@@ -17,7 +17,7 @@ from hydrojax.identify.result import Result
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.logs.signals import Channel
-from hydrojax.plant.named import get
+from hydrojax.parameters import get
 from hydrojax.rigfile.schema import RigFile
 
 DEMO = Path(hydrojax.__file__).parent / "demo"

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hydrojax.effects import EFFECTS
+from hydrojax.parameters import get, put
 from hydrojax.plant.chambers import Chambers, Point
 from hydrojax.plant.layout import LAYOUTS
-from hydrojax.plant.named import get, put
 from hydrojax.plant.rig import bare_rig
 from hydrojax.plant.valve import per_fourth_root, root_flow
 

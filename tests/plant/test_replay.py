@@ -9,9 +9,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root_scalar
 
 from hydrojax.effects import EFFECTS
+from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant import stretch
 from hydrojax.plant.layout import LAYOUTS
-from hydrojax.plant.named import get, parameter_specs, put
 from hydrojax.plant.replay import friction_memory, pressures, readings
 from hydrojax.plant.rig import add, bare_rig
 from hydrojax.plant.state import State, StepInput

@@ -11,9 +11,8 @@ from hydrojax.control.loop import run
 from hydrojax.control.simulation import hold, make_scenario
 from hydrojax.effects import EFFECTS
 from hydrojax.export import stepping
-from hydrojax.parameters import param
+from hydrojax.parameters import param, put
 from hydrojax.plant.load import Driven
-from hydrojax.plant.named import put
 from hydrojax.plant.rig import Rig, add
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import start, step

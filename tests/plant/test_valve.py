@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from hydrojax.parameters import param
+from hydrojax.parameters import get, param, parameter_specs, put
 from hydrojax.plant.chambers import Point
-from hydrojax.plant.named import get, hydraulic_names, parameter_specs, put
+from hydrojax.plant.places import hydraulic_names
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import start, step
 from hydrojax.plant.valve import AbstractValve, metering_edges, root_flow, sides

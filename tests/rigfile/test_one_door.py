@@ -21,10 +21,10 @@ from hydrojax.cli import app
 from hydrojax.control.simulation import hold, make_scenario, simulate
 from hydrojax.export.tree import plant
 from hydrojax.paper import experiments
+from hydrojax.parameters import get, parameter_specs
 from hydrojax.plant import rig as rigs
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.friction import Sliding
-from hydrojax.plant.named import get, parameter_specs
 from hydrojax.rigfile.build import build_loop, build_rig, over_travel
 from hydrojax.rigfile.edit import rewrite
 from hydrojax.rigfile.quantities import open_setting
@@ -80,7 +80,7 @@ def test_what_identification_gives_out_is_what_it_fitted():
 
 
 def rigs_at(rig: rigs.Rig, values: dict[str, float]) -> rigs.Rig:
-    from hydrojax.plant.named import put
+    from hydrojax.parameters import put
 
     return put(rig, tuple(values), np.array(list(values.values())))
 

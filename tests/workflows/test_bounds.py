@@ -12,7 +12,7 @@ from hydrojax.control.inputs import to_and_fro
 from hydrojax.control.simulation import make_scenario
 from hydrojax.identify.estimation.box import Stretch, smallest_box
 from hydrojax.paper.records import reference
-from hydrojax.plant.named import put
+from hydrojax.parameters import put
 from hydrojax.rigfile.build import build_loop
 from hydrojax.tune.refine import Plants, refine, tracking, with_bounds
 
