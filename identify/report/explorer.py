@@ -6,6 +6,7 @@ import base64
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from hydrojax.identify.report.figures import (
     AFTER,
@@ -26,12 +27,16 @@ STEPS = 32767
 
 
 def envelope(
-    t: np.ndarray, y: np.ndarray, start: float, step: float, size: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest `y`, [size] each, within half a `step` of each column.
+    t: Float[np.ndarray, "rows"],
+    y: Float[np.ndarray, "rows"],
+    start: float,
+    step: float,
+    size: int,
+) -> tuple[Float[np.ndarray, "{size}"], Float[np.ndarray, "{size}"]]:
+    """Smallest and largest `y` within half a `step` of each column.
 
-    Column i stands at `start + i step`, in the unit of `t` [n], which may hold NaN as
-    `y` [n] may; a column without a sample is NaN.
+    Column i stands at `start + i step`, in the unit of `t`, which may hold NaN as
+    `y` may; a column without a sample is NaN.
     """
     good = np.isfinite(t) & np.isfinite(y)
     at = np.clip(np.floor((t[good] - start) / step + 0.5).astype(int), 0, size - 1)
@@ -43,7 +48,9 @@ def envelope(
     return low, high
 
 
-def columns(t: np.ndarray, values: float) -> tuple[float, float, int]:
+def line_columns(
+    t: Float[np.ndarray, "rows"], values: float
+) -> tuple[float, float, int]:
     """Start, step (s) and number of the columns of a line that `values` may take.
 
     The log's own ticks where they fit, else as many columns of two values.
@@ -77,7 +84,7 @@ def _log(s: Series, factors: dict[str, float], ways: list[str], room: float) -> 
     own = [c for c in factors if c in s.before and c in s.after]
     # Two bytes a value, and base64 writes three bytes as four.
     values = room / max(len(own) * len(ways), 1) / (2 * 4 / 3)
-    start, step, size = columns(s.t, values)
+    start, step, size = line_columns(s.t, values)
     lines = {
         c: {
             w: _line(*envelope(s.t, getattr(s, w)[c], start, step, size), factors[c])

@@ -1,4 +1,4 @@
-"""What is left as pictures: over time, against signals, and in the loop run again."""
+"""The residual as pictures: over time, against signals, and in the loop run again."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -38,11 +39,11 @@ LOOP_SECONDS = 3.0
 
 
 def condensed(
-    t: np.ndarray, y: np.ndarray, step: float
-) -> tuple[np.ndarray, np.ndarray]:
+    t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"], step: float
+) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
     """`y(t)` as its smallest and largest value in each `step` of time.
 
-    Takes and gives [n]; NaN parts stretches that do not adjoin, before and after.
+    NaN parts stretches that do not adjoin, before and after.
     """
     good = np.isfinite(t) & np.isfinite(y)
     if not good.any():
@@ -203,12 +204,12 @@ def _pooled(outcome: Outcome, channel: str, signal: str) -> np.ndarray:
 
 
 def binned(
-    x: np.ndarray, y: np.ndarray, bins: int = 28
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of x, mean and standard deviation of y, [k] each, in equal parts of x.
+    x: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"], bins: int = 28
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Mean of x, mean and standard deviation of y in equal parts of x.
 
     The outermost half per cent of x, and parts with next to nothing in them, are left
-    out; `x` and `y` are [n], finite.
+    out; `x` and `y` are finite.
     """
     low, high = np.percentile(x, [0.5, 99.5])
     edges = np.linspace(low, high, bins + 1)

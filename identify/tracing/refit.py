@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from hydrojax.identify.estimation.fit import Point, fit_jointly, fit_pressures
 from hydrojax.identify.estimation.problem import Problem
@@ -20,7 +21,7 @@ FRICTION = ("velocity", "level", "friction")
 
 
 def refit(
-    state: Tracing, effect: Effect, s: Score, noise: np.ndarray
+    state: Tracing, effect: Effect, s: Score, noise: Float[np.ndarray, "3"]
 ) -> tuple[Problem, Point]:
     """Fit again with the effect free, from part of the step that its score foresees;
     and, as long as that leaves something, from where else it may lie.
@@ -85,7 +86,7 @@ def _brought_back(
     """The values with mechanical ones back at their start: those at an end of their
     range, if any are, and with `friction` all of them.
 
-    A model that lacks an effect drives its own parameters far off to stand in for it,
+    A model that lacks an effect drives its own parameters far off to compensate for it,
     and from there a fit may not find back.
     """
     mechanical = problem.side(free, False)
