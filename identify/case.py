@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
-from hydrojax.identify.preparation.data import Data, driver, prepare, runs_backward
+from hydrojax.identify.preparation.data import Data, driver, prepare_logs, runs_backward
 from hydrojax.identify.preparation.noise import channel_noise
 from hydrojax.identify.preparation.resolution import resolve
 from hydrojax.identify.preparation.segments import common_band
@@ -58,9 +58,9 @@ class Preparation:
         """Logs that take no part in the fit, made ready.
 
         Raises:
-            InputError: see `prepare`.
+            InputError: see `prepare_logs`.
         """
-        return prepare(
+        return prepare_logs(
             [self.smoothed(log) for log in logs],
             self.spec,
             self.horizon,
@@ -234,7 +234,7 @@ def _prepared(
     noise = channel_noise(every, spec, driven_by)
 
     def ready(logs: Sequence[Log], noise: np.ndarray, sign: float = 1.0) -> Data:
-        return prepare(logs, spec, horizon, noise, sign, band, criteria)
+        return prepare_logs(logs, spec, horizon, noise, sign, band, criteria)
 
     fit = ready(fitted, noise)
     found = resolve(every, len(fitted), spec, fit, ready, criteria)

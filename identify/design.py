@@ -20,7 +20,7 @@ from scipy import optimize
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
-from hydrojax.identify.estimation.columns import Model
+from hydrojax.identify.estimation.columns import ParametricRig
 from hydrojax.identify.estimation.problem import Free, free_parameters
 from hydrojax.identify.experiment import (
     ENOUGH,
@@ -234,7 +234,7 @@ def _setup_of(
         )
     spec = over_travel(spec, (-limits.travel, limits.travel))
     rig = build_rig(spec, separate)
-    model = Model.of(rig)
+    model = ParametricRig.of(rig)
     wanted = tuple(free)
     if separate:
         wanted = tuple(

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import PARTS
-from hydrojax.identify.estimation.columns import Batch, Model, basis, slot_names
+from hydrojax.identify.estimation.columns import Batch, ParametricRig, basis, slot_names
 from hydrojax.identify.estimation.misfit import sums
 from hydrojax.identify.preparation.windows import LEAD, PRE, QUARTERS
 from hydrojax.plant.load import EnvironmentMotion
@@ -82,7 +82,7 @@ class Setup(NamedTuple):
     period (s), return and supply pressure (Pa).
     """
 
-    model: Model
+    model: ParametricRig
     values: Float[Array, "n"]
     names: tuple[str, ...]
     wanted: tuple[str, ...]

@@ -131,7 +131,7 @@ def excite(
     from hydrojax import units
     from hydrojax.identify.design import design
     from hydrojax.identify.experiment import ExcitationLimits
-    from hydrojax.report.text import quantity
+    from hydrojax.report.text import quantity_text
     from hydrojax.rigfile import recording
     from hydrojax.rigfile.schema import RigFile
 
@@ -160,7 +160,10 @@ def excite(
         unit = found.units[name]
         after = found.after[name]
         table.add_row(
-            name, quantity(before, unit), quantity(after, unit), f"{before / after:.2g}"
+            name,
+            quantity_text(before, unit),
+            quantity_text(after, unit),
+            f"{before / after:.2g}",
         )
     console.print(table)
     console.print(f"reference and motion in {out}: simulate --reference and --motion")

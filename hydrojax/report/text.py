@@ -92,7 +92,7 @@ def p_text(p: float) -> str:
     return f"{mantissa} × 10{raised(int(exponent))}"
 
 
-def quantity(
+def quantity_text(
     value: float, unit: str, std: float | None = None, figures: int = 4
 ) -> str:
     """A number as an engineer writes it: `857.6 ± 1.2 MPa`.

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from hydrojax.errors import InputError
-from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Free, Problem
 from hydrojax.identify.preparation.data import Data
 from hydrojax.plant.friction import Theta
@@ -78,7 +78,7 @@ def friction_names(problem: Problem) -> tuple[str, ...]:
 
 
 def fit_stretches(
-    problem: Problem, point: Point, data: Data, logs: Sequence[str], seconds: float
+    problem: Problem, point: FitPoint, data: Data, logs: Sequence[str], seconds: float
 ) -> list[Stretch]:
     """Fit theta_f in every stretch of `seconds`, all else held at `point`.
 
@@ -121,7 +121,7 @@ def fit_stretches(
 
 
 def _fit(
-    problem: Problem, point: Point, names: tuple[str, ...], part: np.ndarray
+    problem: Problem, point: FitPoint, names: tuple[str, ...], part: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """theta_f of some windows, and its covariance."""
     at = [problem.model.names.index(n) for n in names]

@@ -34,7 +34,7 @@ NUISANCE = 2 + SUPPLY_BLOCKS
 """What each window has of its own: two initial pressures, and the supply's errors."""
 
 
-class Model(NamedTuple):
+class ParametricRig(NamedTuple):
     """A rig and the order of its parameters: hydraulic ones first.
 
     Attributes:
@@ -50,7 +50,7 @@ class Model(NamedTuple):
     scale: Float[np.ndarray, "n"]
 
     @classmethod
-    def of(cls, rig: Rig) -> Model:
+    def of(cls, rig: Rig) -> ParametricRig:
         """The model of a rig, with every parameter it has."""
         spec = parameter_specs(rig)
         first = hydraulic_names(rig)
@@ -92,7 +92,9 @@ class Basis(NamedTuple):
     other: Float[Array, "n_2 k_2"]
 
 
-def basis(model: Model, names: tuple[str, ...], slots: tuple[int, int]) -> Basis:
+def basis(
+    model: ParametricRig, names: tuple[str, ...], slots: tuple[int, int]
+) -> Basis:
     """One direction per named parameter, one unit of its scale; spare slots are 0.
 
     Raises:
@@ -114,7 +116,7 @@ def basis(model: Model, names: tuple[str, ...], slots: tuple[int, int]) -> Basis
 
 
 def slot_names(
-    model: Model, names: tuple[str, ...], slots: tuple[int, int]
+    model: ParametricRig, names: tuple[str, ...], slots: tuple[int, int]
 ) -> list[str | None]:
     """Which parameter stands in each column of `basis`, None for a spare one."""
     first = [n for n in names if model.names.index(n) < model.hydraulic]
@@ -142,7 +144,7 @@ class Recalled(NamedTuple):
     by: Past
 
 
-def recall(model: Model, values: Float[Array, "n"], motion: Motion) -> Recalled:
+def recall(model: ParametricRig, values: Float[Array, "n"], motion: Motion) -> Recalled:
     """What friction remembers of the motion: once for all windows."""
     here = put(model.rig, model.names, values)
     names = memory_names(here)
@@ -165,7 +167,7 @@ class Pressures(NamedTuple):
 
 
 def driven_pressures(
-    model: Model,
+    model: ParametricRig,
     values: Float[Array, "n"],
     directions: Basis,
     batch: Batch,
@@ -201,7 +203,7 @@ def driven_pressures(
 
 
 def sensitivities(
-    model: Model,
+    model: ParametricRig,
     values: Float[Array, "n"],
     directions: Basis,
     w: Windows,
@@ -254,7 +256,7 @@ def _partial(f, at: Array) -> tuple[Array, Array]:
 
 
 def _through_memory(
-    model: Model,
+    model: ParametricRig,
     here: Rig,
     directions: Basis,
     w: Windows,

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.columns import Batch, Model
+from hydrojax.identify.estimation.columns import Batch, ParametricRig
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.parameters import put
 from hydrojax.plant import stretch
@@ -25,7 +25,7 @@ HALVINGS = 40
 """Of the bracket that holds a tick's force."""
 
 
-def stretched(model: Model, values: Float[np.ndarray, "n"]) -> Rig | None:
+def stretched(model: ParametricRig, values: Float[np.ndarray, "n"]) -> Rig | None:
     """The rig at `values` if anything gives in it."""
     if not model.rig.stretch:
         return None

@@ -13,7 +13,7 @@ from hydrojax.plant.places import gauge_names
 
 
 @dataclass(frozen=True)
-class Point:
+class FitPoint:
     """Where a fit stands.
 
     Attributes:
@@ -49,9 +49,9 @@ def reweighted(
     return np.where(rms > above * noise, np.maximum(noise, rms), noise)
 
 
-def fit(
+def fit_all(
     problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
-) -> tuple[Problem, Point]:
+) -> tuple[Problem, FitPoint]:
     """Fit the free parameters to all channels, in the order of the signal path.
 
     Hydraulics on the pressures alone, then the mechanics, then all together with each
@@ -65,8 +65,8 @@ def fit(
 
 def fit_force(
     problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
-) -> tuple[Problem, Point]:
-    """The second half of `fit`, from hydraulics that fit the pressures already."""
+) -> tuple[Problem, FitPoint]:
+    """The second half of `fit_all`, from hydraulics that fit the pressures already."""
     noise = np.asarray(problem.batch.noise)
     weights, above = noise, problem.criteria.reweighted_above
     mechanical = problem.side(free, False)
@@ -85,7 +85,7 @@ def fit_jointly(
     values: Float[np.ndarray, "n"],
     free: Sequence[str],
     weights: Float[np.ndarray, "3"],
-) -> tuple[Problem, Point]:
+) -> tuple[Problem, FitPoint]:
     """Fit everything free at once from nearby, each channel at its weight."""
     noise, own = np.asarray(problem.batch.noise), problem.criteria
     seen = np.isfinite(noise)
@@ -100,7 +100,9 @@ def fit_jointly(
         # Without pressures to see, where the windows begin moves on with the fit.
         moves = problem.blind and rms[2] < own.blind_progress * before
         if left == 0 or (same and not moves):
-            return problem, Point(values, weights, int(out.steps), bool(out.converged))
+            return problem, FitPoint(
+                values, weights, int(out.steps), bool(out.converged)
+            )
         weights, before = earned, rms[2]
     raise AssertionError("the last round returns")
 

@@ -23,7 +23,7 @@ from hydrojax.identify.estimation.columns import (
     SUPPLY_BLOCKS,
     Basis,
     Batch,
-    Model,
+    ParametricRig,
     driven_pressures,
     recall,
     sensitivities,
@@ -80,7 +80,7 @@ def _in_pieces(part: Callable, size: int, *windows: PyTree) -> PyTree:
 
 
 def _of_windows(
-    model: Model,
+    model: ParametricRig,
     values: Array,
     directions: Basis,
     batch: Batch,
@@ -109,7 +109,7 @@ def _of_windows(
 
 
 def sums(
-    model: Model,
+    model: ParametricRig,
     values: Float[Array, "n"],
     directions: Basis,
     batch: Batch,
@@ -159,7 +159,7 @@ def _leftover(residual: Array, dy: Array, white: Array, start: Array) -> Array:
 
 
 def leftover(
-    model: Model, values: Float[Array, "n"], batch: Batch, simulate: bool
+    model: ParametricRig, values: Float[Array, "n"], batch: Batch, simulate: bool
 ) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "windows 2"]]:
     """Measured minus replayed, SI, and the error of the initial pressures, Pa.
 
@@ -214,7 +214,7 @@ def filled(batch: Batch) -> Batch:
 
 
 def _gram(
-    model: Model,
+    model: ParametricRig,
     values: Array,
     directions: Basis,
     prior: tuple[Array, Array],
@@ -236,7 +236,7 @@ def _gram(
 
 @eqx.filter_jit
 def run_fit(
-    model: Model,
+    model: ParametricRig,
     values: Float[Array, "n"],
     directions: Basis,
     prior: tuple[Float[Array, "rows k"], Float[Array, "rows"]],
@@ -256,7 +256,7 @@ def run_fit(
 
 @eqx.filter_jit
 def run_sums(
-    model: Model,
+    model: ParametricRig,
     values: Float[Array, "n"],
     directions: Basis,
     batch: Batch,
@@ -268,7 +268,7 @@ def run_sums(
 
 @eqx.filter_jit
 def run_leftover(
-    model: Model, values: Float[Array, "n"], batch: Batch, simulate: bool
+    model: ParametricRig, values: Float[Array, "n"], batch: Batch, simulate: bool
 ) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "windows 2"]]:
     """`leftover`, compiled."""
     return leftover(model, values, batch, simulate)
@@ -276,7 +276,7 @@ def run_leftover(
 
 @eqx.filter_jit
 def run_starts(
-    model: Model,
+    model: ParametricRig,
     values: Float[Array, "n"],
     starts: Float[Array, "starts k"],
     directions: Basis,

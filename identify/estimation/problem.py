@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from hydrojax.identify.estimation.columns import Batch, Model, basis, slot_names
+from hydrojax.identify.estimation.columns import Batch, ParametricRig, basis, slot_names
 from hydrojax.identify.estimation.coupled import agreed, stretched
+from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.estimation.misfit import (
     Sums,
     batch_of,
@@ -50,34 +51,6 @@ class Free:
     prior: float | None = None
 
 
-@dataclass(frozen=True)
-class Known:
-    """Parameters as other logs identify them: their values there, SI, and the curvature
-    of that fit, in units of the scales, priors counted.
-    """
-
-    names: tuple[str, ...]
-    values: Float[np.ndarray, "k"]
-    curvature: Float[np.ndarray, "k k"]
-
-    def rows(
-        self,
-        columns: Sequence[str | None],
-        at: Float[np.ndarray, "columns"],
-        scale: Float[np.ndarray, "columns"],
-    ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, "columns"]]:
-        """Residual rows by column, and their value with the columns `at`."""
-        sizes, vectors = np.linalg.eigh(self.curvature)
-        root = (vectors * np.sqrt(np.maximum(sizes, 0.0))).T
-        slope = np.zeros((len(columns), len(columns)))
-        away = np.zeros(len(columns))
-        for j, name in enumerate(self.names):
-            i = columns.index(name)
-            slope[: len(root), i] = root[:, j]
-            away[i] = (at[i] - self.values[j]) / scale[i]
-        return slope, slope @ away
-
-
 def free_parameters(spec: RigFile) -> dict[str, Free]:
     """What a rig file leaves to be found, effects it declares included."""
     entries = dict(spec.parameters)
@@ -105,7 +78,7 @@ class Problem:
     `criteria` the thresholds of whatever is decided on it.
     """
 
-    model: Model
+    model: ParametricRig
     free: Mapping[str, Free]
     batch: Batch
     declared: tuple[int, int]
@@ -123,7 +96,7 @@ class Problem:
         criteria: Criteria = Criteria(),
     ) -> Problem:
         """The problem of fitting `free` on prepared logs."""
-        model = Model.of(rig)
+        model = ParametricRig.of(rig)
         first = sum(model.names.index(n) < model.hydraulic for n in free)
         declared = (first, len(free) - first)
         return cls(

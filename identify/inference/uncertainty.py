@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.criteria import Criteria
 
@@ -40,7 +40,7 @@ class Uncertainty:
 
 
 def estimate_uncertainty(
-    problem: Problem, point: Point, free: Sequence[str]
+    problem: Problem, point: FitPoint, free: Sequence[str]
 ) -> Uncertainty:
     """What the logs say of the free parameters at a fit.
 
@@ -88,7 +88,7 @@ def estimate_uncertainty(
 
 
 def curvature(
-    problem: Problem, point: Point, free: Sequence[str]
+    problem: Problem, point: FitPoint, free: Sequence[str]
 ) -> tuple[Float[np.ndarray, "k k"], list[str]]:
     """Curvature of the fit in units of the scales, priors counted, and names."""
     names = problem.model.names

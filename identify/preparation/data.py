@@ -62,7 +62,7 @@ class Data:
     notes: tuple[str, ...]
 
 
-def prepare(
+def prepare_logs(
     logs: Sequence[Log],
     spec: RigFile,
     horizon: float = 0.25,

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.identify.estimation.coupled import answer
-from hydrojax.identify.estimation.fit import fit as fit_all
+from hydrojax.identify.estimation.fit import fit_all
 from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.estimation.problem import (
     Problem,

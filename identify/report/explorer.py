@@ -1,4 +1,4 @@
-"""The residual over time as a page zooms into it: envelopes as inline data."""
+"""The residual over time, condensed: for pictures, and as inline data of a page."""
 
 from __future__ import annotations
 
@@ -24,6 +24,27 @@ BYTES = 1_200_000
 """What all residuals of a page may take; a log that fits is kept sample by sample."""
 STEPS = 32767
 """Steps from zero to the largest value of a line; one further down is a gap."""
+
+
+def condensed(
+    t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"], step: float
+) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
+    """`y(t)` as its smallest and largest value in each `step` of time.
+
+    NaN parts stretches that do not adjoin, before and after.
+    """
+    good = np.isfinite(t) & np.isfinite(y)
+    if not good.any():
+        return np.empty(0), np.empty(0)
+    stretch = np.cumsum(~good)[good]
+    t, y = t[good], y[good]
+    column = np.floor((t - t[0]) / step) if step > 0 else np.zeros(t.size)
+    new = (np.diff(column) != 0) | (np.diff(stretch) != 0)
+    starts = np.concatenate([[0], np.nonzero(new)[0] + 1])
+    low, high = np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
+    gap = np.diff(stretch[starts], append=stretch[-1]) != 0
+    rows = np.stack([low, high, np.where(gap, np.nan, high)], axis=1)
+    return np.repeat(t[starts], 3), rows.ravel()
 
 
 def envelope(

@@ -24,7 +24,7 @@ from hydrojax.report.text import engineering, p_text, symbol, words
 if TYPE_CHECKING:
     from hydrojax.identify.results.outcome import (
         Candidate,
-        Channel,
+        ChannelErrors,
         Outcome,
         Parameter,
         Series,
@@ -281,7 +281,7 @@ def moved(series: Sequence[Series], names: Sequence[str]) -> bool:
     )
 
 
-def reach(c: Channel) -> float:
+def reach(c: ChannelErrors) -> float:
     """About how large a channel's residual is, of what is finite."""
     sizes = [size for size in (c.before, c.after, 2 * c.noise) if np.isfinite(size)]
     return max(sizes, default=0.0)

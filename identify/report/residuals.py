@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from hydrojax.identify.report.explorer import condensed
 from hydrojax.identify.report.figures import (
     AFTER,
     BAND,
@@ -28,7 +29,7 @@ from hydrojax.identify.report.figures import (
 from hydrojax.report.text import engineering, signal_unit, symbol, words
 
 if TYPE_CHECKING:
-    from hydrojax.identify.results.outcome import Effect, Outcome, Series
+    from hydrojax.identify.results.outcome import FoundEffect, Outcome, Series
 
 POINTS = 700
 """Columns into which a long residual is condensed."""
@@ -36,27 +37,6 @@ LOGS = 3
 """Validation logs whose residual is drawn."""
 LOOP_SECONDS = 3.0
 """How much of a run in closed loop is drawn."""
-
-
-def condensed(
-    t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"], step: float
-) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
-    """`y(t)` as its smallest and largest value in each `step` of time.
-
-    NaN parts stretches that do not adjoin, before and after.
-    """
-    good = np.isfinite(t) & np.isfinite(y)
-    if not good.any():
-        return np.empty(0), np.empty(0)
-    stretch = np.cumsum(~good)[good]
-    t, y = t[good], y[good]
-    column = np.floor((t - t[0]) / step) if step > 0 else np.zeros(t.size)
-    new = (np.diff(column) != 0) | (np.diff(stretch) != 0)
-    starts = np.concatenate([[0], np.nonzero(new)[0] + 1])
-    low, high = np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
-    gap = np.diff(stretch[starts], append=stretch[-1]) != 0
-    rows = np.stack([low, high, np.where(gap, np.nan, high)], axis=1)
-    return np.repeat(t[starts], 3), rows.ravel()
 
 
 @styled
@@ -162,7 +142,7 @@ def _signal(s: Series, name: str) -> np.ndarray | None:
     return s.t if name == "t" and name not in s.signals else s.signals.get(name)
 
 
-def improved(effect: Effect, outcome: Outcome) -> list[str]:
+def improved(effect: FoundEffect, outcome: Outcome) -> list[str]:
     """Channels whose error the effect lowered, the best always, slight ones not."""
     fall = {
         c: (effect.before[c] - effect.after.get(c, np.inf)) / outcome.channels[c].noise

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrojax.identify.estimation.problem import Known
+from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.inference.uncertainty import curvature
 from hydrojax.identify.tracing.state import Tracing
 

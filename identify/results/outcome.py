@@ -40,7 +40,7 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Channel:
+class ChannelErrors:
     """Error of one channel, RMS, SI: on the test logs where there are any, and then
     that on the validation logs is `validate`; else on the validation logs.
     """
@@ -53,7 +53,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Effect:
+class FoundEffect:
     """An effect that was named; `parameters` by their own names; errors by channel, on
     the validation logs.
     """
@@ -185,8 +185,8 @@ class Outcome:
     verdict: str
     sentence: str
     parameters: dict[str, Parameter]
-    channels: dict[str, Channel]
-    effects: tuple[Effect, ...] = ()
+    channels: dict[str, ChannelErrors]
+    effects: tuple[FoundEffect, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
     limits: tuple[str, ...] = ()

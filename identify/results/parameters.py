@@ -10,7 +10,7 @@ from jaxtyping import Float
 from hydrojax.effects import EFFECTS
 from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
-from hydrojax.identify.results.outcome import Effect, Parameter
+from hydrojax.identify.results.outcome import FoundEffect, Parameter
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import Spec, parameter_specs
 from hydrojax.units import with_command
@@ -72,7 +72,7 @@ def named_effects(
     state: Tracing,
     uncertainty: Uncertainty,
     errors: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]],
-) -> tuple[Effect, ...]:
+) -> tuple[FoundEffect, ...]:
     """The effects that were added, and what each did to the validation error.
 
     `errors` [3] are those before all of them and after, RMS, SI.
@@ -86,7 +86,7 @@ def named_effects(
     for i, added in enumerate(state.added):
         own = [n for n in spec if n.startswith(f"{added.name}.")]
         out.append(
-            Effect(
+            FoundEffect(
                 name=added.name,
                 parameters=dict(
                     parameter_of(n, case, state, uncertainty, spec[n]) for n in own

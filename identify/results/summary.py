@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
@@ -16,10 +16,10 @@ from hydrojax.identify.results import describe
 from hydrojax.identify.results.extrapolation import extrapolation
 from hydrojax.identify.results.outcome import (
     Candidate,
-    Channel,
+    ChannelErrors,
     Covariance,
-    Effect,
     Errors,
+    FoundEffect,
     Outcome,
     Unexplained,
 )
@@ -37,7 +37,7 @@ UNITS = ("Pa", "Pa", "N")
 
 
 def summarise(
-    command: str, case: Case, state: Tracing, base: Point, uncertainty: Uncertainty
+    command: str, case: Case, state: Tracing, base: FitPoint, uncertainty: Uncertainty
 ) -> Outcome:
     """All that was found, from the state a run ended in, its base fit, and the
     uncertainty of its parameters.
@@ -94,7 +94,7 @@ def _channels(
     ends: tuple[np.ndarray, np.ndarray],
     errors: tuple[np.ndarray, np.ndarray],
     seen: list[int],
-) -> dict[str, Channel]:
+) -> dict[str, ChannelErrors]:
     """Errors at the values `ends` [n]: of the test logs where there are any, with those
     of the validation logs, which are `errors` [3], beside them.
     """
@@ -105,7 +105,7 @@ def _channels(
     out = {}
     for c in seen:
         beside = Errors(float(errors[0][c]), float(errors[1][c]))
-        out[CHANNELS[c]] = Channel(
+        out[CHANNELS[c]] = ChannelErrors(
             UNITS[c],
             float(state.noise[c]),
             float(own[0][c]),
@@ -143,7 +143,7 @@ def _left(
 
 
 def _untested(
-    channels: Mapping[str, Channel], verdict: str, at_noise: float
+    channels: Mapping[str, ChannelErrors], verdict: str, at_noise: float
 ) -> list[str]:
     """Test errors that disagree with a verdict of the validation logs."""
     if verdict == "unknown":
@@ -156,7 +156,7 @@ def _untested(
     ]
 
 
-def _undecided(effects: tuple[Effect, ...]) -> list[str]:
+def _undecided(effects: tuple[FoundEffect, ...]) -> list[str]:
     """What would decide between effects that these logs cannot tell apart."""
     return [
         f"{e.name} and {other} look alike in these logs: `hydrojax excite RIG "
@@ -228,7 +228,7 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
 def _sentence(
     command: str,
     verdict: str,
-    effects: tuple[Effect, ...],
+    effects: tuple[FoundEffect, ...],
     left: tuple[Unexplained, ...],
     held_out: bool,
     needed: tuple[str, ...],

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
@@ -45,7 +45,7 @@ def judge(
     return "helps"
 
 
-def negligible(problem: Problem, point: Point, effect: Effect) -> bool:
+def negligible(problem: Problem, point: FitPoint, effect: Effect) -> bool:
     """Whether all of an effect's strengths came out under the least that is it."""
     names = problem.model.names
     return all(

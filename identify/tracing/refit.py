@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.fit import Point, fit_jointly, fit_pressures
+from hydrojax.identify.estimation.fit import FitPoint, fit_jointly, fit_pressures
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.judge import cost
 from hydrojax.identify.tracing.score import Score
@@ -22,7 +22,7 @@ FRICTION = ("velocity", "level", "friction")
 
 def refit(
     state: Tracing, effect: Effect, s: Score, noise: Float[np.ndarray, "3"]
-) -> tuple[Problem, Point]:
+) -> tuple[Problem, FitPoint]:
     """Fit again with the effect free, from part of the step that its score foresees;
     and, as long as that leaves something, from where else it may lie.
     """
@@ -30,7 +30,7 @@ def refit(
     free = (*state.free, *free_names(effect))
     seen = np.isfinite(noise)
 
-    def one(values: np.ndarray) -> tuple[Problem, Point, np.ndarray]:
+    def one(values: np.ndarray) -> tuple[Problem, FitPoint, np.ndarray]:
         if not seen[2]:
             done, values = fit_pressures(problem, values, free)
             point = replace(state.point, values=values)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Score
@@ -41,7 +41,7 @@ class Tracing:
     check: Problem
     effects: Mapping[str, Effect]
     free: tuple[str, ...]
-    point: Point
+    point: FitPoint
     progress: Callable[[str], None]
     added: tuple[Added, ...] = ()
     scores: Mapping[str, Score] = field(default_factory=dict)

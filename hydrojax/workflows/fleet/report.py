@@ -16,7 +16,7 @@ from hydrojax.identify.report.figures import png
 from hydrojax.report.files import write_all
 from hydrojax.report.page import Picture
 from hydrojax.report.page import page as make_page
-from hydrojax.report.text import p_text, quantity, words
+from hydrojax.report.text import p_text, words
 from hydrojax.rigfile import controller
 from hydrojax.rigfile.edit import text
 from hydrojax.workflows.fleet import friction, pictures, summary
@@ -152,7 +152,7 @@ def page(seen: Seen, shown: Sequence[Picture], title: str) -> str:
     lines = controller_lines(seen.bounds) if seen.bounds else []
     return make_page(
         Path(__file__).parent / "fleet.html",
-        (quantity, p_text, words),
+        (quantity_text, p_text, words),
         s=seen,
         pictures=shown,
         title=title,
