@@ -46,6 +46,7 @@ def make_logs(folder: Path, count: int, lengths: int) -> Path:
     from hydrojax.paper import experiments
     from hydrojax.rigfile import recording
     from hydrojax.rigfile.build import build_loop
+    from hydrojax.rigfile.scenarios import rig_scenario
     from hydrojax.rigfile.schema import RigFile
 
     set_up_jax(user_cache())
@@ -63,8 +64,8 @@ def make_logs(folder: Path, count: int, lengths: int) -> Path:
         own.write_text(text)
         spec = RigFile.load(own)
         loop = build_loop(spec, None, {})
-        scenario = recording.read_scenario(spec, loop, seconds=2 * SECONDS[1], seed=i)
-        columns = recording.columns(simulation.simulate(loop, scenario), spec)
+        scenario = rig_scenario(spec, loop, seconds=2 * SECONDS[1], seed=i)
+        columns = recording.columns(simulation.simulate_loop(loop, scenario), spec)
         rows_of = {n: y for n, (_, y) in columns.items()}
         share = rng.integers(lengths) / (lengths - 1) if lengths > 1 else rng.uniform()
         length = int(1000 * (SECONDS[0] + share * (SECONDS[1] - SECONDS[0])))

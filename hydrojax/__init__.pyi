@@ -6,7 +6,14 @@ from .api import fit as fit
 from .api import trace as trace
 from .control.base import AbstractController as AbstractController
 from .control.baselines import PIController as PIController
-from .control.simulation import simulate as simulate
+from .control.inputs import AbstractMotion as AbstractMotion
+from .control.inputs import AbstractReference as AbstractReference
+from .control.inputs import locked as locked
+from .control.inputs import noise as noise
+from .control.inputs import sine as sine
+from .control.inputs import sines as sines
+from .control.inputs import to_and_fro as to_and_fro
+from .control.inputs import wander as wander
 from .effects import effect as effect
 from .effects import load_effects as load_effects
 from .errors import InputError as InputError
@@ -21,6 +28,8 @@ from .rigfile.schema import RigFile as RigFile
 from .tune.api import sweep as sweep
 from .tune.api import tune_gains as tune_gains
 from .tune.objective import Limits as Limits
+from .workflows.simulation import Simulation as Simulation
+from .workflows.simulation import simulate as simulate
 
 __version__: str
 __all__: list[str]

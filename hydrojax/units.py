@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from functools import cache
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any, TypeAlias, overload
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from hydrojax.errors import InputError
 
 if TYPE_CHECKING:
     import pint
+
+QuantityLike: TypeAlias = "float | str | pint.Quantity"
+"""A number in SI, a text with a unit, or pint's quantity."""
 
 _QUANTITY = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*\*?\s*(.*?)\s*", re.DOTALL
@@ -137,3 +140,39 @@ def quantity(text: object, want: str, where: str) -> float:
     if not unit and ("rad" in want or not fits("1", want)):
         raise InputError(f'{where}: {text!r} has no unit; write "{value:g} {want}"')
     return to_si(value, unit or "1", want, where)
+
+
+def in_si(value: QuantityLike, want: str, where: str) -> float:
+    """The SI value of a number (taken as it is), a text with a unit or pint's quantity.
+
+    Args:
+        value: the quantity.
+        want: the SI unit the value is returned in.
+        where: opens an error line.
+
+    Raises:
+        InputError: see `quantity`.
+    """
+    text = _text(value)
+    return split(text, where)[0] if _is_number(text) else quantity(text, want, where)
+
+
+def is_a(value: QuantityLike, want: str, where: str) -> bool:
+    """Whether a quantity is written with a unit of the dimension of `want`.
+
+    Raises:
+        InputError: no finite number.
+    """
+    unit = split(_text(value), where)[1]
+    return bool(unit) and fits(unit, want)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _text(value: Any) -> Any:
+    """A pint quantity as text, a NumPy number as a float; the rest as it is."""
+    if hasattr(value, "magnitude"):
+        return f"{float(value.magnitude):.17g} {value.units:C}".strip()
+    return float(value) if isinstance(value, np.number) else value

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hydrojax.control.inputs import band_noise
 from hydrojax.control.loop import step
+from hydrojax.control.waveforms import band_noise
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import metrics, operating_point
 

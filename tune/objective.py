@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hydrojax.control.inputs import to_and_fro
 from hydrojax.control.loop import Scenario, run
 from hydrojax.control.simulation import make_scenario
+from hydrojax.control.waveforms import sinusoidal_path
 from hydrojax.parameters import put
 from hydrojax.rigfile.quantities import Quantity, Setting
 from hydrojax.tune import linearize, metrics, operating_point
@@ -77,7 +77,7 @@ def moving(setting: Setting) -> Scenario:
     t = np.arange(round(SECONDS / h)) * h
     F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
     P_s, P_r = float(setting.P_s), float(setting.P_r)
-    return make_scenario(F_d, to_and_fro(SPEED, PERIOD), h, P_s, P_r, seed=0)
+    return make_scenario(F_d, sinusoidal_path(SPEED, PERIOD), h, P_s, P_r, seed=0)
 
 
 def softmax(values: Float[Array, "n"], sharp: float) -> Float[Array, ""]:

@@ -33,6 +33,7 @@ def write_case(folder: str | Path, seconds: float) -> None:
     from hydrojax.parameters import get
     from hydrojax.rigfile import recording
     from hydrojax.rigfile.build import build_loop
+    from hydrojax.rigfile.scenarios import rig_scenario
     from hydrojax.rigfile.schema import RigFile
 
     from .replays import NAMES
@@ -53,8 +54,8 @@ def write_case(folder: str | Path, seconds: float) -> None:
         loop, [0.1 * s for s in still],
     )  # fmt: skip
     samples = round(seconds / float(loop.h))
-    scenario = recording.read_scenario(spec, loop, seconds=min(samples, MINUTE) * 1e-3)
-    run = simulation.simulate(loop, scenario)
+    scenario = rig_scenario(spec, loop, seconds=min(samples, MINUTE) * 1e-3)
+    run = simulation.simulate_loop(loop, scenario)
     columns = _columns(run, spec, samples)
     noise = {n: NOISE * float(np.std(run[f"true_{n}"])) for n in CHANNELS}
     rng = np.random.default_rng(5)

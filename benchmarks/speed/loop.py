@@ -45,8 +45,8 @@ Build = Callable[[], Callable[[], Any]]
 @cache
 def case(batch: int, samples: int) -> tuple[Any, Any, np.ndarray]:
     """The reference loop, its course, and two gains for each instance, [B, 2]."""
-    from hydrojax.control.inputs import sines, to_and_fro
     from hydrojax.control.simulation import make_scenario
+    from hydrojax.control.waveforms import random_sines, sinusoidal_path
     from hydrojax.rigfile.build import build_loop
     from hydrojax.rigfile.schema import RigFile
 
@@ -54,8 +54,8 @@ def case(batch: int, samples: int) -> tuple[Any, Any, np.ndarray]:
     with resources.as_file(file) as path:
         loop = build_loop(RigFile.load(path))
     t = H * np.arange(samples)
-    F_d = sines(np.random.default_rng(1), t, 250.0)
-    scenario = make_scenario(F_d, to_and_fro(0.03, 0.7), H, 14e6, 0.25e6, seed=0)
+    F_d = random_sines(np.random.default_rng(1), t, 250.0)
+    scenario = make_scenario(F_d, sinusoidal_path(0.03, 0.7), H, 14e6, 0.25e6, seed=0)
     factors = np.random.default_rng(3).uniform(0.7, 1.2, (batch, 2))
     factors[0] = 1.0
     return loop, scenario, factors * [float(loop.law.k_p), float(loop.law.k_f)]

@@ -60,49 +60,28 @@ def simulate(
     load_effects(effects)
     import warnings
 
-    import numpy as np
-
-    from hydrojax.control import simulation
+    from hydrojax.cli.scenario import read_inputs
     from hydrojax.rigfile import recording
-    from hydrojax.rigfile.build import build_loop
     from hydrojax.rigfile.schema import RigFile
+    from hydrojax.workflows import simulation
 
     recording.check_kind(out)
     spec = RigFile.load(rig)
     with show_progress() as progress:
         progress("run the closed loop")
-        loop = build_loop(spec, None, read_gains(gains or []))
-        scenario = recording.read_scenario(spec, loop, reference, motion, seconds, seed)
+        force, path = read_inputs(spec, reference, motion)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # said below, in one line
-            run = simulation.simulate(loop, scenario)
-    if run.diverged:
-        raise InputError(f"{rig}: {run.warning()}")
-    recording.write_log(out, recording.columns(run, spec))
-    still = (
-        ""
-        if np.ptp(run["x"])
-        else "the position does not move: identify and trace do not take such a log"
-    )
-    for line in (run.warning(), still, _noiseless(spec.sensors)):
-        if line:
-            console.print(f"warning: {line}", markup=False)
-    later = run.t >= run.t[-1] / 4
-    off = np.sqrt(np.mean((run.F_d - run["true_F"])[later] ** 2))
-    pushed = np.mean(np.abs(run["u"]) >= 0.999 * float(loop.law.u_max))
+            warnings.simplefilter("ignore", RuntimeWarning)  # is among the notes
+            run = simulation.simulate(
+                spec, reference=force, motion=path, seconds=seconds, seed=seed,
+                gains=read_gains(gains or []), out=out,
+            )  # fmt: skip
+    for line in run.notes:
+        console.print(f"warning: {line}", markup=False)
     console.print(
-        f"{run.t.size} samples in {out}; F_d - F {off:.3g} N RMS after the first "
-        f"quarter; command saturated in {100 * pushed:.1f} % of them",
+        f"{run.t.size} samples in {out}; F_d - F {run.rms_error:.3g} N RMS after the "
+        f"first quarter; command saturated in {100 * run.saturated:.1f} % of them",
         markup=False,
-    )
-
-
-def _noiseless(sensors: dict[str, float]) -> str:
-    if {"P_a1", "P_a2", "F"} & set(sensors):
-        return ""
-    return (
-        "the rig file gives no noise under [sensors], so the log has none: identify "
-        "and trace will take every small misfit for real"
     )
 
 

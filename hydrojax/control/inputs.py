@@ -1,64 +1,269 @@
-"""Desired forces and motions for closed-loop runs."""
+"""Desired forces and motions of closed-loop runs, as values.
+
+A quantity is text with a unit (`"300 N"`), a pint quantity, or a number in SI.
+"""
 
 from __future__ import annotations
 
+import abc
+import math
+from dataclasses import dataclass
+
 import numpy as np
-from scipy import signal
+from jaxtyping import Float
 
-from hydrojax.control.simulation import Path
+from hydrojax import units
+from hydrojax.control import waveforms
+from hydrojax.control.simulation import Trajectory, hold
+from hydrojax.errors import InputError
+from hydrojax.units import QuantityLike
 
 
-def to_and_fro(speed: float, period: float) -> Path:
-    """A sinusoid of the piston that starts at rest at one end.
+class AbstractReference(abc.ABC):
+    """A desired force. A subclass says what it is at every control period."""
+
+    @abc.abstractmethod
+    def force(
+        self, n: int, h: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "n"]:
+        """The desired force at n samples, N.
+
+        Args:
+            n: number of samples.
+            h: control period, s.
+            rng: source of random numbers.
+
+        Raises:
+            InputError: it cannot be sampled at this period.
+        """
+
+    def seconds(self, h: float) -> float:
+        """The longest run that it serves, s, at the control period `h`."""
+        return math.inf
+
+
+class AbstractMotion(abc.ABC):
+    """A motion of the piston, or of the environment that its load is held by."""
+
+    @abc.abstractmethod
+    def path(self, rng: np.random.Generator) -> Trajectory:
+        """Position and its derivatives as a function of time.
+
+        Args:
+            rng: source of random numbers.
+        """
+
+    def seconds(self, h: float) -> float:
+        """The longest run that it serves, s, at the control period `h`."""
+        return math.inf
+
+
+@dataclass(frozen=True)
+class Sine(AbstractReference):
+    """`offset + amplitude * sin(2 pi frequency t)`: N, N, Hz; see `sine`."""
+
+    amplitude: float
+    frequency: float
+    offset: float = 0.0
+
+    def force(
+        self, n: int, h: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "n"]:
+        """The sinusoid at n samples, N."""
+        t = np.arange(n) * h
+        return self.offset + self.amplitude * np.sin(2 * np.pi * self.frequency * t)
+
+
+@dataclass(frozen=True)
+class Sines(AbstractReference):
+    """Forty random sines with an RMS in N; see `sines`."""
+
+    rms: float
+
+    def force(
+        self, n: int, h: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "n"]:
+        """The sum of sines at n samples, N."""
+        return waveforms.random_sines(rng, np.arange(n) * h, self.rms)
+
+
+@dataclass(frozen=True)
+class Noise(AbstractReference):
+    """White noise with an RMS in N up to `band` Hz; see `noise`."""
+
+    rms: float
+    band: float
+
+    def force(
+        self, n: int, h: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "n"]:
+        """The noise at n samples, N; see `AbstractReference.force`."""
+        if self.band >= 0.5 / h:
+            raise InputError(
+                f"noise: invalid band {self.band:g} Hz: expected less than half the "
+                f"sampling rate, {0.5 / h:g} Hz"
+            )
+        return waveforms.band_noise(rng, n, h, self.rms, self.band)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples(AbstractReference):
+    """Given values, one a control period, N; the run ends with them.
+
+    Raises:
+        InputError: not one row of finite numbers.
+    """
+
+    values: Float[np.ndarray, "samples"]
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 1 or not np.isfinite(self.values).all():
+            raise InputError(
+                "reference: invalid array: expected one row of finite numbers, N"
+            )
+
+    def force(
+        self, n: int, h: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "n"]:
+        """The first n values, N."""
+        return self.values[:n]
+
+    def seconds(self, h: float) -> float:
+        """How long the values last, s."""
+        return self.values.size * h
+
+
+@dataclass(frozen=True)
+class ToAndFro(AbstractMotion):
+    """A sinusoid that starts at rest at one end: m/s, s; see `to_and_fro`."""
+
+    speed: float
+    period: float
+
+    def path(self, rng: np.random.Generator) -> Trajectory:
+        """See `AbstractMotion.path`."""
+        return waveforms.sinusoidal_path(self.speed, self.period)
+
+
+@dataclass(frozen=True)
+class Wander(AbstractMotion):
+    """A smooth random motion with a peak speed in m/s; see `wander`."""
+
+    speed: float
+
+    def path(self, rng: np.random.Generator) -> Trajectory:
+        """See `AbstractMotion.path`."""
+        return waveforms.random_path(rng, self.speed)
+
+
+@dataclass(frozen=True)
+class Locked(AbstractMotion):
+    """No motion, at `x` m from mid-stroke; see `locked`."""
+
+    x: float
+
+    def path(self, rng: np.random.Generator) -> Trajectory:
+        """See `AbstractMotion.path`."""
+        return hold(self.x)
+
+
+def sine(
+    amplitude: QuantityLike = 300.0,
+    frequency: QuantityLike = 0.5,
+    offset: QuantityLike = 0.0,
+) -> AbstractReference:
+    """A sinusoidal desired force about an offset.
 
     Args:
-        speed: its peak, m/s.
-        period: of one to and fro, s.
+        amplitude: N.
+        frequency: Hz.
+        offset: N.
+
+    Raises:
+        InputError: a quantity of another dimension, or not above 0 (`offset` may be).
     """
-    w = 2 * np.pi / period
-    size = speed / w
-    return lambda t, nu: -size * w**nu * np.cos(w * t + nu * np.pi / 2)
+    return Sine(
+        _positive(amplitude, "N", "sine: amplitude"),
+        _positive(frequency, "Hz", "sine: frequency"),
+        units.in_si(offset, "N", "sine: offset"),
+    )
 
 
-def wander(rng: np.random.Generator, speed: float, travel: float = 0.02) -> Path:
-    """A smooth random motion: eight sines of 0.05 to 1.2 Hz, at rest nowhere for long.
+def sines(rms: QuantityLike = 400.0) -> AbstractReference:
+    """Forty random sines of 0.1 to 20 Hz that fall off above 2 Hz.
 
     Args:
-        rng: where its numbers come from.
-        speed: its peak in two minutes, m/s, unless travel limits it first.
-        travel: the most it goes from its middle meanwhile, m.
+        rms: of the desired force, N.
+
+    Raises:
+        InputError: a quantity of another dimension, or not above 0.
     """
-    hertz = np.exp(rng.uniform(np.log(0.05), np.log(1.2), 8))
-    w, phase = 2 * np.pi * hertz, rng.uniform(0, 2 * np.pi, 8)
-    share = rng.uniform(0.3, 1.0, 8)
-    t = np.arange(0.0, 120.0, 0.01)
-    angle = np.multiply.outer(t, w) + phase
-    fastest = np.abs((share * np.cos(angle)).sum(-1)).max()
-    furthest = np.abs((share / w * np.sin(angle)).sum(-1)).max()
-    size = share / w / max(fastest / speed, furthest / travel)
-
-    def path(t: np.ndarray, nu: int) -> np.ndarray:
-        angle = np.multiply.outer(t, w) + phase + nu * np.pi / 2
-        return (size * w**nu * np.sin(angle)).sum(-1)
-
-    return path
+    return Sines(_positive(rms, "N", "sines: rms"))
 
 
-def sines(rng: np.random.Generator, t: np.ndarray, rms: float) -> np.ndarray:
-    """Desired force of forty sines of 0.1 to 20 Hz that fall off above 2 Hz, [n], N."""
-    hertz = np.exp(rng.uniform(np.log(0.1), np.log(20.0), 40))
-    size = 1 / (1 + hertz / 2)
-    size *= rms / np.sqrt(np.sum(size**2) / 2)
-    angle = np.multiply.outer(t, 2 * np.pi * hertz) + rng.uniform(0, 2 * np.pi, 40)
-    return (size * np.sin(angle)).sum(-1)
+def noise(rms: QuantityLike = 200.0, band: QuantityLike = 50.0) -> AbstractReference:
+    """White noise through a fourth-order Butterworth low-pass filter.
+
+    Args:
+        rms: of the desired force, N.
+        band: the filter's corner, Hz; below half the sampling rate.
+
+    Raises:
+        InputError: a quantity of another dimension, or not above 0.
+    """
+    return Noise(
+        _positive(rms, "N", "noise: rms"), _positive(band, "Hz", "noise: band")
+    )
 
 
-def band_noise(
-    rng: np.random.Generator, n: int, h: float, rms: float, band: float
-) -> np.ndarray:
-    """White noise up to `band` Hz (fourth-order Butterworth), [n] every `h` s, N."""
-    white = rng.normal(size=n)
-    if band < 0.5 / h:
-        filter_ = signal.butter(4, band, fs=1 / h, output="sos")
-        white = np.asarray(signal.sosfilt(filter_, white))
-    return rms * white / np.std(white)
+def to_and_fro(
+    speed_or_stroke: QuantityLike = 0.03, period: QuantityLike = 3.0
+) -> AbstractMotion:
+    """A sinusoidal motion about mid-stroke that starts at rest at its lower end.
+
+    Args:
+        speed_or_stroke: the peak speed, m/s, or a length (such as "30 mm"): the
+            distance from end to end. A bare number is a speed.
+        period: of one cycle, s.
+
+    Raises:
+        InputError: a quantity of another dimension, or not above 0.
+    """
+    where = "to_and_fro: speed_or_stroke"
+    T = _positive(period, "s", "to_and_fro: period")
+    if units.is_a(speed_or_stroke, "m", where):
+        stroke = _positive(speed_or_stroke, "m", where)
+        return ToAndFro(np.pi * stroke / T, T)
+    return ToAndFro(_positive(speed_or_stroke, "m/s", where), T)
+
+
+def wander(speed: QuantityLike = 0.025) -> AbstractMotion:
+    """A smooth random motion about mid-stroke: eight sines of 0.05 to 1.2 Hz.
+
+    Args:
+        speed: the peak speed, m/s; less where 20 mm from mid-stroke limits it first.
+
+    Raises:
+        InputError: a quantity of another dimension, or not above 0.
+    """
+    return Wander(_positive(speed, "m/s", "wander: speed"))
+
+
+def locked(x: QuantityLike = 0.0) -> AbstractMotion:
+    """No motion.
+
+    Args:
+        x: the position, m from mid-stroke.
+
+    Raises:
+        InputError: a quantity of another dimension.
+    """
+    return Locked(units.in_si(x, "m", "locked: x"))
+
+
+def _positive(value: QuantityLike, unit: str, where: str) -> float:
+    """The SI value of a quantity above 0."""
+    number = units.in_si(value, unit, where)
+    if number <= 0:
+        raise InputError(f"{where}: {str(value)!r} must be above 0")
+    return number

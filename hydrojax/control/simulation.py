@@ -19,8 +19,8 @@ from hydrojax.plant.load import EnvironmentMotion
 PARTS = 4
 """Parts of a control period in which the plant acts; a test shows what they cost."""
 
-Path = Callable[[np.ndarray, int], np.ndarray]
-"""A motion: `path(t, nu)` is its nu-th derivative at times t, m, m/s, m/s^2."""
+Trajectory = Callable[[np.ndarray, int], np.ndarray]
+"""A motion: `trajectory(t, nu)` is its nu-th derivative at times t, m, m/s, m/s^2."""
 
 _run = eqx.filter_jit(run)
 
@@ -73,7 +73,7 @@ class Run:
         )
 
 
-def simulate(loop: Loop, scenario: Scenario) -> Run:
+def simulate_loop(loop: Loop, scenario: Scenario) -> Run:
     """Run the closed loop once.
 
     Warns (`RuntimeWarning`) if a pressure leaves (P_r, P_s) or the run diverges.
@@ -110,7 +110,7 @@ def _beyond(loop: Loop, x: np.ndarray, open_1: bool) -> int:
 
 def make_scenario(
     F_d: ArrayLike,
-    path: Path,
+    path: Trajectory,
     h: float,
     P_s: float | np.ndarray,
     P_r: float | np.ndarray,
@@ -156,6 +156,6 @@ def make_scenario(
     )
 
 
-def hold(x: float = 0.0) -> Path:
+def hold(x: float = 0.0) -> Trajectory:
     """The piston, or its environment, locked at `x`, m."""
     return lambda t, nu: np.zeros_like(t) + (x if nu == 0 else 0.0)

@@ -13,9 +13,9 @@ import numpy as np
 from scipy import signal
 
 from hydrojax.control import theory
-from hydrojax.control.inputs import band_noise, to_and_fro
 from hydrojax.control.loop import Loop, Scenario, run
-from hydrojax.control.simulation import Path, hold, make_scenario, simulate
+from hydrojax.control.simulation import Trajectory, hold, make_scenario, simulate_loop
+from hydrojax.control.waveforms import band_noise, sinusoidal_path
 from hydrojax.paper.records import (
     Descent,
     Experiments,
@@ -85,7 +85,7 @@ def _repeat(tree: Any, count: int) -> Any:
 
 
 def _scenario(
-    spec: RigFile, F_d: np.ndarray, path: Path, h: float, seed: int | None = None
+    spec: RigFile, F_d: np.ndarray, path: Trajectory, h: float, seed: int | None = None
 ) -> Scenario:
     """A course under the rig file's supply."""
     P_s, P_r = spec.supply["P_s"], spec.supply["P_r"]
@@ -98,7 +98,7 @@ def tracking() -> tuple[dict[str, dict[str, Track]], Track]:
     h = 1e-3
     t = np.arange(round(SECONDS / h)) * h
     F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
-    scenario = _scenario(spec, F_d, to_and_fro(SPEED, PERIOD), h, seed=0)
+    scenario = _scenario(spec, F_d, sinusoidal_path(SPEED, PERIOD), h, seed=0)
     cases = [(f, c, g) for f, own in FIGURES.items() for c, g in own.items()]
     cases.append(("ablation", "", ABLATION))
     loops = _stack([build_loop(spec, rig, gains) for *_, gains in cases])
@@ -203,8 +203,8 @@ def descent(
         h = float(loop.h)
         t = np.arange(round(6.0 / h)) * h
         F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
-        scenario = _scenario(spec, F_d, to_and_fro(SPEED, PERIOD), h)
-        done = simulate(loop, scenario)
+        scenario = _scenario(spec, F_d, sinusoidal_path(SPEED, PERIOD), h)
+        done = simulate_loop(loop, scenario)
         W, bound = theory.lyapunov(loop, done), theory.lyapunov_bound(loop, done)
         out[rate] = Descent(t, W, bound)
     return out
@@ -217,8 +217,8 @@ def least_supply() -> theory.Supply:
     h = float(loop.h)
     t = np.arange(round(8.0 / h)) * h
     F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
-    scenario = _scenario(spec, F_d, to_and_fro(SPEED, PERIOD), h, seed=0)
-    return theory.supply(loop, scenario, simulate(loop, scenario))
+    scenario = _scenario(spec, F_d, sinusoidal_path(SPEED, PERIOD), h, seed=0)
+    return theory.supply(loop, scenario, simulate_loop(loop, scenario))
 
 
 def experiments(progress: Callable[[str], None] = lambda _: None) -> Experiments:

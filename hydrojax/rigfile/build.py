@@ -82,19 +82,27 @@ def lays(names: Iterable[str]) -> bool:
     return any("x_from" in EFFECTS[name].__dataclass_fields__ for name in names)
 
 
-def build_rig(file: RigFile, effects: Iterable[str] = ()) -> Rig:
+def build_rig(
+    file: RigFile, effects: Iterable[str] = (), added: Iterable[Effect] = ()
+) -> Rig:
     """The rig of a file at its start values.
 
     Args:
         file: the rig; the effects it declares are in the result.
         effects: names of further effects, which are added absent: all their strengths
             are zero.
+        added: further effects as they are, also of classes that are not registered;
+            those are put behind the vocabulary's.
 
     Raises:
         KeyError: an effect that the vocabulary lacks.
+        InputError: no effect among `added`, or one that the rig has already.
     """
     modules = effects_of((*file.effects, *effects), file)
-    rig = add(bare_rig(file.layout, file.geometry), modules.values())
+    modules |= _own(added, modules)
+    order = {name: i for i, name in enumerate(EFFECTS)}
+    names = sorted(modules, key=lambda name: order.get(name, len(order)))
+    rig = add(bare_rig(file.layout, file.geometry), [modules[n] for n in names])
     if file.command_unit == "1":
         # The default valve constants are per volt of a +-10 V command.
         rig = put(rig, LANDS, 10 * get(rig, LANDS))
@@ -104,11 +112,27 @@ def build_rig(file: RigFile, effects: Iterable[str] = ()) -> Rig:
     return put(rig, tuple(given), jnp.array(list(given.values()))) if given else rig
 
 
+def _own(added: Iterable[Effect], there: Iterable[str]) -> dict[str, Effect]:
+    """Effects given as instances, by name."""
+    out: dict[str, Effect] = {}
+    for effect in added:
+        if not isinstance(effect, Effect) or not getattr(effect, "place", ""):
+            raise InputError(
+                f"effects: invalid {effect!r}: expected an instance of an effect, "
+                "such as ValveLag(omega=...)"
+            )
+        name = getattr(effect, "name", "") or type(effect).__name__
+        if name in out or name in there:
+            raise InputError(f"effects: the rig has {name!r} already; give it once")
+        out[name] = effect
+    return out
+
+
 def build_loop(
     file: RigFile,
     rig: Rig | None = None,
     gains: Mapping[str, object] | None = None,
-    where: str = "--gains",
+    where: str = "gains:",
 ) -> Loop:
     """The closed loop of a rig file.
 

@@ -25,7 +25,7 @@ from hydrojax.identify.estimation.box import (
 )
 from hydrojax.identify.results.closed_loop import identified
 from hydrojax.logs.log import Log
-from hydrojax.rigfile import controller, recording
+from hydrojax.rigfile import controller, scenarios
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.edit import rewrite, text
 from hydrojax.rigfile.schema import RigFile
@@ -139,7 +139,7 @@ def _scenarios(
                 f"{log.name}: no column F_d: bounds are refined on what the loop was "
                 "asked for; give logs that have it"
             )
-    rerun = [recording.rerun(spec, loop, log, MOST_SECONDS) for log in logs]
+    rerun = [scenarios.rerun(spec, loop, log, MOST_SECONDS) for log in logs]
     scenarios = [scenario for scenario, _ in rerun if scenario is not None]
     if not scenarios:
         raise InputError(f"{logs[0].name}: no two seconds without a gap to run again")

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrojax.control.simulation import simulate
+from hydrojax.control.simulation import simulate_loop
 from hydrojax.identify.results.outcome import LoopCheck
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.rigfile.build import build_loop, build_rig
 from hydrojax.rigfile.entries import Entry
-from hydrojax.rigfile.recording import longest, rerun
+from hydrojax.rigfile.scenarios import longest, rerun
 from hydrojax.rigfile.schema import RigFile
 
 
@@ -69,7 +69,7 @@ def check_loop(
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # it is among the figures
-        run = simulate(loop, scenario)
+        run = simulate_loop(loop, scenario)
     start, stop = longest(log)
     t = log.time[start:stop] - log.time[start]
     keep = (t >= criteria.loop_settle) & (t <= run.t[-1])

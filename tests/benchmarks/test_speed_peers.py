@@ -15,9 +15,9 @@ import pytest
 from benchmarks.speed import build_c, peers_c, peers_scipy, replay_c
 from benchmarks.speed.numbers import KEEP, KEPT, numbers
 from benchmarks.speed.replays import NAMES, Replay
-from hydrojax.control.inputs import sines, to_and_fro
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.control.simulation import make_scenario
+from hydrojax.control.waveforms import random_sines, sinusoidal_path
 from hydrojax.effects import EFFECTS
 from hydrojax.parameters import get, put
 from hydrojax.plant.load import Inertia
@@ -61,11 +61,11 @@ def loop() -> Loop:
 def scenario() -> Scenario:
     """Two seconds of noise, motion through standstill, and a supply that swings."""
     t = H * np.arange(SAMPLES + 1)
-    F_d = sines(np.random.default_rng(1), t[:-1], 250.0)
+    F_d = random_sines(np.random.default_rng(1), t[:-1], 250.0)
     F_d += 250 * np.sin(2 * np.pi * 12 * t[:-1])
     P_s = 14e6 + 3e5 * np.sin(2 * np.pi * 5 * t)
     P_r = 0.25e6 + 2e4 * np.sin(2 * np.pi * 3 * t)
-    return make_scenario(F_d, to_and_fro(0.03, 0.7), H, P_s, P_r, seed=0)
+    return make_scenario(F_d, sinusoidal_path(0.03, 0.7), H, P_s, P_r, seed=0)
 
 
 def simulated(loop: Loop, scenario: Scenario) -> np.ndarray:

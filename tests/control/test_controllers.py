@@ -16,9 +16,9 @@ from jaxtyping import Array
 from hydrojax.control.adaptive import Law
 from hydrojax.control.base import AbstractController, Gain
 from hydrojax.control.baselines import PIController
-from hydrojax.control.inputs import to_and_fro
 from hydrojax.control.loop import signal_names
-from hydrojax.control.simulation import make_scenario, simulate
+from hydrojax.control.simulation import make_scenario, simulate_loop
+from hydrojax.control.waveforms import sinusoidal_path
 from hydrojax.errors import InputError
 from hydrojax.paper import experiments
 from hydrojax.parameters import param, specs
@@ -58,7 +58,7 @@ def file() -> RigFile:
 def scenario():
     t = np.arange(1500) * 1e-3
     F_d = 300 * np.sin(2 * np.pi * t)
-    return make_scenario(F_d, to_and_fro(0.005, 3.0), 1e-3, 14e6, 0.25e6)
+    return make_scenario(F_d, sinusoidal_path(0.005, 3.0), 1e-3, 14e6, 0.25e6)
 
 
 @pytest.mark.parametrize("law", [MyPI(k=3e-3), PIController(k_p=3e-3, k_i=2.4e-2)])
@@ -66,7 +66,7 @@ def test_it_follows_in_a_simulation(law, scenario):
     loop = build_loop(replace(RigFile.load(RIG), law=law))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        run = simulate(loop, scenario)
+        run = simulate_loop(loop, scenario)
     off = (run.F_d - run["true_F"])[500:]
     assert np.sqrt(np.mean(off**2)) < 150.0  # of 212
     assert np.allclose(run["error"], run.F_d - run["F"])
@@ -102,9 +102,9 @@ def test_its_gains_have_names_units_and_a_rate(file):
     given = build_loop(file, None, {"k": "2 mV/N", "beta": 3, "rate": "2 kHz"})
     assert float(given.law.k) == pytest.approx(2e-3) and float(given.law.beta) == 3.0
     assert float(given.h) == pytest.approx(5e-4)
-    with pytest.raises(InputError, match="--gains unknown gain 'kk'; did you mean 'k'"):
+    with pytest.raises(InputError, match="gains: unknown gain 'kk'; did you mean 'k'"):
         build_loop(file, None, {"kk": 1})
-    with pytest.raises(InputError, match="--gains k: unit 'Pa' does not fit"):
+    with pytest.raises(InputError, match="gains: k: unit 'Pa' does not fit"):
         build_loop(file, None, {"k": "1 Pa"})
 
 

@@ -20,9 +20,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from hydrojax.control import theory
-from hydrojax.control.inputs import to_and_fro
 from hydrojax.control.loop import Loop, Sensors, quantise, run
-from hydrojax.control.simulation import hold, make_scenario, simulate
+from hydrojax.control.simulation import hold, make_scenario, simulate_loop
+from hydrojax.control.waveforms import sinusoidal_path
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
@@ -71,7 +71,7 @@ def supply(samples: int = SAMPLES) -> np.ndarray:
     return P_S + 4e5 * np.sin(2 * np.pi * 6 * H * np.arange(samples + 1))
 
 
-MOTIONS = {"driven": to_and_fro(0.03, 0.4), "locked": hold(2e-3)}
+MOTIONS = {"driven": sinusoidal_path(0.03, 0.4), "locked": hold(2e-3)}
 
 
 def make_bench_loop(
@@ -222,7 +222,7 @@ def truths() -> Callable[[str], dict]:
 def library_run(name: str, parts: int):
     motion, step, load, layout = RUNS[name]
     scenario = make_scenario(desired(), MOTIONS[motion], H, supply(), P_R, parts=parts)
-    return simulate(make_bench_loop(load, step, layout), scenario)
+    return simulate_loop(make_bench_loop(load, step, layout), scenario)
 
 
 def gaps(want: dict, got) -> dict[str, float]:
@@ -335,7 +335,7 @@ def test_a_payload_and_a_load_are_one_mass():
     two = make_bench_loop(Inertia(MASS, STIFF, DAMP), given=deaf)
     payload = put(add(two.rig, [EFFECTS["payload_inertia"]()]), PAYLOAD, [40.0])
     two = eqx.tree_at(lambda loop: loop.rig, two, payload)
-    want, got = simulate(one, scenario), simulate(two, scenario)
+    want, got = simulate_loop(one, scenario), simulate_loop(two, scenario)
     for name in ("true_x", "true_v", "true_P_a1", "true_P_a2", "u"):
         size = np.max(np.abs(want[name]))
         assert np.max(np.abs(got[name] - want[name])) < 1e-9 * size, name
@@ -361,7 +361,7 @@ def test_a_load_under_force_from_the_start_is_of_second_order():
     off = [
         gaps(
             want,
-            simulate(
+            simulate_loop(
                 loop, make_scenario(F_d, MOTIONS["driven"], H, supply(), P_R, parts=p)
             ),
         )["true_F"]
@@ -381,7 +381,7 @@ def test_sensors_add_noise_of_their_size():
         Sensors(*map(jnp.asarray, sizes), jnp.asarray(ENCODER)),
     )
     scenario = make_scenario(desired(2000), MOTIONS["driven"], H, P_S, P_R, seed=4)
-    got = simulate(loop, scenario)
+    got = simulate_loop(loop, scenario)
     truths = (got["true_P_a1"], got["true_P_a2"], P_S, got["true_F"])
     for name, true, size in zip(
         ("P_a1", "P_a2", "P_s", "F"), truths, sizes, strict=True
@@ -394,10 +394,10 @@ def test_sensors_add_noise_of_their_size():
     counts = got["x"] / ENCODER
     assert np.allclose(counts, np.round(counts), atol=1e-6)
     assert np.max(np.abs(got["x"] - got["true_x"])) <= ENCODER / 2 * (1 + 1e-9)
-    again = simulate(loop, scenario)
+    again = simulate_loop(loop, scenario)
     assert all(np.array_equal(got[n], again[n]) for n in got.signals)
     other = make_scenario(desired(2000), MOTIONS["driven"], H, P_S, P_R, seed=5)
-    assert np.ptp(simulate(loop, other)["F"] - got["F"]) > 1.0
+    assert np.ptp(simulate_loop(loop, other)["F"] - got["F"]) > 1.0
 
 
 def test_the_encoder_is_straight_through():
@@ -415,7 +415,7 @@ def test_a_run_begins_at_rest_with_the_force_asked_for(layout):
     if layout == "single":
         scenario = scenario._replace(F_d=-scenario.F_d + 1e3)
     loop = make_bench_loop(layout=layout)
-    got = simulate(loop, scenario)
+    got = simulate_loop(loop, scenario)
     assert got["true_F"][0] == pytest.approx(got.F_d[0], abs=1e-9)
     A_1, A_2 = AREAS[layout]
     P = A_2 * got["true_P_a2"][0] - A_1 * got["true_P_a1"][0]
@@ -442,7 +442,7 @@ def test_a_differential_cylinder_of_two_to_one_begins_inside_the_supply(tmp_path
     path.write_text(DIFFERENTIAL)
     loop = build_loop(RigFile.load(path))
     scenario = make_scenario(np.zeros(100), hold(), 1 / 4000, P_S, P_R)
-    out = simulate(loop, scenario)
+    out = simulate_loop(loop, scenario)
     assert 0.25e6 < out["true_P_a2"][0] < P_S and 0.25e6 < out["true_P_a1"][0] < P_S
     assert out["true_F"][0] == pytest.approx(0.0, abs=1e-6)
     assert out.leaves == (0, 0)
@@ -486,8 +486,8 @@ def matched(hertz: float, seconds: float = 4.0, change: Callable | None = None):
     loop = eqx.tree_at(lambda lo: lo.h, loop, jnp.asarray(1 / hertz))
     t = np.arange(round(seconds * hertz)) / hertz
     F_d = 300 * np.sin(2 * np.pi * 0.5 * t)
-    scenario = make_scenario(F_d, to_and_fro(0.03, 3.0), 1 / hertz, P_S, P_R)
-    return loop, scenario, simulate(change(loop) if change else loop, scenario)
+    scenario = make_scenario(F_d, sinusoidal_path(0.03, 3.0), 1 / hertz, P_S, P_R)
+    return loop, scenario, simulate_loop(change(loop) if change else loop, scenario)
 
 
 def plain_W(out) -> np.ndarray:
@@ -659,7 +659,7 @@ def test_the_least_supply_is_the_least():
         lower = eqx.tree_at(lambda lo: lo.P_start, loop, jnp.asarray(start))
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            out = simulate(lower, given)
+            out = simulate_loop(lower, given)
         warned = [w for w in said if issubclass(w.category, RuntimeWarning)]
         assert bool(warned) == bool(sum(out.leaves)) == bool(out.warning())
         return sum(out.leaves)
@@ -706,7 +706,7 @@ def test_leaving_the_supply_is_said():
     scenario = make_scenario(desired(), MOTIONS["driven"], H, 1.2e6, P_R)
     loop = eqx.tree_at(lambda lo: lo.P_start, make_bench_loop(), jnp.asarray(0.7e6))
     with pytest.warns(RuntimeWarning, match="a pressure left .*raise P_s"):
-        out = simulate(loop, scenario)
+        out = simulate_loop(loop, scenario)
     P_1 = out["true_P_a1"]
     assert out.leaves[0] == np.sum((P_1 <= P_R) | (P_1 >= 1.2e6))
 
@@ -789,7 +789,7 @@ def test_the_bounds_turned_above_are_reached():
     """Else their derivative would be that of the start alone."""
     cost, loop, scenario = make_cost(ENCODER)
     loop = set_knobs(loop, [jnp.asarray(size) for _, size in KNOBS.values()])
-    got = simulate(loop, scenario)
+    got = simulate_loop(loop, scenario)
     assert np.sum(got["k_cp"] == 1020.0) > 10
     assert np.sum(got["k_cn"] == 1000.0) > 10
     assert float(cost(jnp.array([size for _, size in KNOBS.values()]))) > 0

@@ -11,8 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydrojax.control import inputs, simulation
+from hydrojax.cli.scenario import read_inputs
+from hydrojax.control import simulation, waveforms
 from hydrojax.control.adaptive import Estimates, mean_area
+from hydrojax.control.loop import Scenario
 from hydrojax.errors import InputError
 from hydrojax.identify import api as running
 from hydrojax.identify.case import open_case
@@ -23,6 +25,7 @@ from hydrojax.plant.places import PLACES
 from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import build_loop, build_rig
 from hydrojax.rigfile.controller import KEYS
+from hydrojax.rigfile.scenarios import rig_scenario
 from hydrojax.rigfile.schema import RigFile
 from tests.conftest import Said
 
@@ -210,7 +213,7 @@ def test_what_a_controller_is_refused_for(load, text):
 
 
 def test_gains_are_named_in_their_own_errors(load):
-    with pytest.raises(InputError, match="^--gains unknown key 'kp'; did you mean"):
+    with pytest.raises(InputError, match="^gains: unknown key 'kp'; did you mean"):
         build_loop(load(BARE), None, {"kp": 1})
 
 
@@ -225,8 +228,8 @@ def test_a_driven_axis_has_no_loop(load):
 @pytest.mark.parametrize(
     "path",
     [
-        inputs.to_and_fro(0.03, 0.7),
-        inputs.wander(np.random.default_rng(3), 0.02),
+        waveforms.sinusoidal_path(0.03, 0.7),
+        waveforms.random_path(np.random.default_rng(3), 0.02),
         simulation.hold(3e-3),
     ],
     ids=["to-and-fro", "wander", "locked"],
@@ -241,17 +244,17 @@ def test_motions_are_their_own_derivatives(path):
 
 def test_motions_keep_their_promises():
     t = np.linspace(0, 30, 30001)
-    path = inputs.to_and_fro(0.03, 3.0)
+    path = waveforms.sinusoidal_path(0.03, 3.0)
     assert abs(path(t[:1], 1)[0]) < 1e-15
     assert np.max(path(t, 1)) == pytest.approx(0.03, rel=1e-6)
     for seed in range(5):
-        path = inputs.wander(np.random.default_rng(seed), 0.025, 0.02)
+        path = waveforms.random_path(np.random.default_rng(seed), 0.025, 0.02)
         assert 0.005 < np.max(np.abs(path(t, 1))) <= 0.025
         assert 0.005 < np.max(np.abs(path(t, 0))) <= 0.02
     rng = np.random.default_rng(1)
     for force in (
-        inputs.sines(rng, np.linspace(0, 100, 100001), 400.0),
-        inputs.band_noise(rng, 100000, 1e-3, 400.0, 50.0),
+        waveforms.random_sines(rng, np.linspace(0, 100, 100001), 400.0),
+        waveforms.band_noise(rng, 100000, 1e-3, 400.0, 50.0),
     ):
         assert np.std(force) == pytest.approx(400.0, rel=0.01)
     hertz = np.fft.rfftfreq(100000, 1e-3)
@@ -304,7 +307,16 @@ def test_endings_in_capitals(tmp_path, kind):
     assert len(Log.load(path).time) == 700
 
 
-# -- a course in words --
+# -- a scenario in words --
+
+
+def read_scenario(
+    spec, loop, reference="sines", motion="wander", seconds=12.0, seed=0
+) -> Scenario:
+    """The scenario that `hydrojax simulate` runs."""
+    return rig_scenario(
+        spec, loop, *read_inputs(spec, reference, motion), seconds, seed
+    )
 
 
 @pytest.fixture(scope="module")
@@ -318,7 +330,7 @@ def bench(tmp_path_factory):
 
 def test_words_make_a_course(bench):
     _, spec, loop = bench
-    scenario = recording.read_scenario(
+    scenario = read_scenario(
         spec, loop, "sine:250 N,2 Hz", "to-and-fro:2 cm/s,1 s", 1.0, 7
     )
     t = np.arange(1000) * 1e-3
@@ -334,23 +346,23 @@ def test_words_make_a_course(bench):
     assert np.allclose(environment.x[1:, 0, 0], environment.x[:-1, -1, 2], atol=1e-15)
     assert np.all(scenario.P_s == 14e6) and np.all(scenario.P_r == 0.25e6)
     assert np.std(scenario.noise) == pytest.approx(1.0, abs=0.05)
-    again = recording.read_scenario(spec, loop, "sines:0.3 kN", "wander", 1.0, 7)
-    same = recording.read_scenario(spec, loop, "sines:0.3 kN", "wander", 1.0, 7)
-    other = recording.read_scenario(spec, loop, "sines:0.3 kN", "wander", 1.0, 8)
+    again = read_scenario(spec, loop, "sines:0.3 kN", "wander", 1.0, 7)
+    same = read_scenario(spec, loop, "sines:0.3 kN", "wander", 1.0, 7)
+    other = read_scenario(spec, loop, "sines:0.3 kN", "wander", 1.0, 8)
     assert np.array_equal(again.F_d, same.F_d)
     assert np.array_equal(again.environment.x, same.environment.x)
     assert (
         np.ptp(again.F_d - other.F_d) > 1
         and np.ptp(again.environment.x - other.environment.x) > 0
     )
-    locked = recording.read_scenario(spec, loop, "noise", "locked:5 mm", 0.5, 1)
+    locked = read_scenario(spec, loop, "noise", "locked:5 mm", 0.5, 1)
     assert np.all(locked.environment.x == 5e-3) and not np.any(locked.environment.v)
 
 
 WORDS = {
     ("sinus", "wander"): "'sinus' is neither a log's path nor a kind; did you mean",
     ("sines", "stay"): "'stay' is neither a log's path nor a kind; known: wander",
-    ("sine:300 N,1 Hz,2 s", "wander"): "gives too much; write sine:300 N,0.5 Hz",
+    ("sine:300 N,1 Hz,2 s", "wander"): "too many values; write sine:300 N,0.5 Hz",
     ("sine:300", "wander"): "--reference sine: '300' has no unit; write",
     ("sine:300 Pa", "wander"): "--reference sine: unit 'Pa' does not fit",
     ("sine:-3 N", "wander"): "'-3 N' must be above 0",
@@ -363,20 +375,20 @@ WORDS = {
 def test_words_that_will_not_do(bench, words):
     _, spec, loop = bench
     with pytest.raises(InputError, match=re.escape(WORDS[words])):
-        recording.read_scenario(spec, loop, *words, 1.0, 0)
+        read_scenario(spec, loop, *words, 1.0, 0)
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.04, -1.0, 1e6, math.nan])
 def test_lengths_that_will_not_do(bench, seconds):
     _, spec, loop = bench
-    with pytest.raises(InputError, match="--seconds"):
-        recording.read_scenario(spec, loop, seconds=seconds)
+    with pytest.raises(InputError, match="seconds: invalid length"):
+        read_scenario(spec, loop, seconds=seconds)
 
 
 def test_a_misspelt_kind_with_a_decimal(bench):
     _, spec, loop = bench
     with pytest.raises(InputError, match="did you mean 'sine'"):
-        recording.read_scenario(spec, loop, "sin:300 N,0.5 Hz", "wander", 1.0, 0)
+        read_scenario(spec, loop, "sin:300 N,0.5 Hz", "wander", 1.0, 0)
 
 
 def logged(path: Path, **changed: tuple[str, np.ndarray]) -> Path:
@@ -395,7 +407,7 @@ def logged(path: Path, **changed: tuple[str, np.ndarray]) -> Path:
 def test_a_log_gives_force_and_motion(bench, tmp_path):
     _, spec, loop = bench
     path = str(logged(tmp_path / "log.csv"))
-    scenario = recording.read_scenario(spec, loop, path, path, 12.0, 0)
+    scenario = read_scenario(spec, loop, path, path, 12.0, 0)
     n, t = scenario.t.size, np.asarray(scenario.t)
     assert 1499 <= n <= 1500  # cut to the log's length
     assert np.allclose(scenario.F_d, 200 * np.sin(8 * t), atol=0.02)
@@ -405,14 +417,14 @@ def test_a_log_gives_force_and_motion(bench, tmp_path):
     assert np.allclose(
         environment.v[inner, 0], 0.15 * np.cos(3 * (t + 2.5e-4))[inner], atol=1e-5
     )
-    half = recording.read_scenario(spec, loop, path, "locked", 0.5, 0)
+    half = read_scenario(spec, loop, path, "locked", 0.5, 0)
     assert half.t.size == 500 and not np.any(half.environment.x)
     bare = str(logged(tmp_path / "bare.csv", F_d=None))
     with pytest.raises(InputError, match="no column F_d to follow"):
-        recording.read_scenario(spec, loop, bare, "wander", 1.0, 0)
+        read_scenario(spec, loop, bare, "wander", 1.0, 0)
     still = str(logged(tmp_path / "still.csv", psi=None))
     with pytest.raises(InputError, match=r"no motion: give a column x \[m\] or psi"):
-        recording.read_scenario(spec, loop, "sines", still, 1.0, 0)
+        read_scenario(spec, loop, "sines", still, 1.0, 0)
 
 
 def test_a_log_with_holes_in_its_desired_force(bench, tmp_path):
@@ -421,7 +433,7 @@ def test_a_log_with_holes_in_its_desired_force(bench, tmp_path):
     F_d[:100] = np.nan
     path = str(logged(tmp_path / "log.mat", F_d=("N", F_d)))
     try:
-        scenario = recording.read_scenario(spec, loop, path, "wander", 12.0, 0)
+        scenario = read_scenario(spec, loop, path, "wander", 12.0, 0)
     except InputError as refused:
         assert "F_d" in str(refused)
     else:
@@ -478,7 +490,7 @@ def test_a_rig_with_a_rod_has_its_middle_in_the_log(call, tmp_path):
     log = Log.load(out)
     assert np.all(np.abs(log.signals["x"] - 0.3) < 0.021)
     spec = RigFile.load(rig)
-    scenario = recording.read_scenario(spec, build_loop(spec), str(out), str(out), 1.0)
+    scenario = read_scenario(spec, build_loop(spec), str(out), str(out), 1.0)
     assert np.allclose(
         scenario.environment.x[:, 0, 0], log.signals["x"][:-1] - 0.3, atol=1e-12
     )
@@ -526,14 +538,14 @@ def test_a_supply_that_is_too_low_is_warned_of(call, tmp_path):
 
 
 REFUSED = {
-    "unknown gain": (("--gains", "kp=1"), "--gains unknown key 'kp'; did you mean"),
+    "unknown gain": (("--gains", "kp=1"), "gains: unknown key 'kp'; did you mean"),
     "no sign": (("--gains", "k_p"), "--gains 'k_p': write NAME=VALUE"),
-    "wrong unit": (("--gains", "k_p=3 N"), "--gains k_p: unit 'N' does not fit"),
+    "wrong unit": (("--gains", "k_p=3 N"), "gains: k_p: unit 'N' does not fit"),
     "no value": (("--gains", "k_p="), "write NAME=VALUE"),
     "second of two": (("--gains", "k_p=1", "k_f=-1"), "k_f: -1.0 must be 0 or more"),
     "reference": (("--reference", "sinus"), "did you mean 'sines'"),
     "motion": (("--motion", "wonder"), "did you mean 'wander'"),
-    "seconds": (("--seconds", "0.01"), "--seconds 0.01: give 0.05 to"),
+    "seconds": (("--seconds", "0.01"), "seconds: invalid length 0.01: expected"),
     "log": (("--reference", "no.csv"), "no.csv"),
 }
 

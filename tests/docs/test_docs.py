@@ -80,7 +80,7 @@ def test_every_page_is_there(site):
         "hydrojax.identify.result.Result.plot",
         "hydrojax.plant.step.step",
         "hydrojax.control.loop.run",
-        "hydrojax.control.simulation.simulate",
+        "hydrojax.control.simulation.simulate_loop",
         "hydrojax.control.adaptive.Law",
         "hydrojax.plant.friction.Friction",
         "hydrojax.plant.chambers.Chambers",

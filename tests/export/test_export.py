@@ -20,14 +20,14 @@ import pytest
 from scipy.io import loadmat
 
 from hydrojax import export
-from hydrojax.control.simulation import simulate
+from hydrojax.control.simulation import simulate_loop
 from hydrojax.errors import InputError
 from hydrojax.parameters import put
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import start, step
-from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.controller import file_keys
+from hydrojax.rigfile.scenarios import rig_scenario
 from hydrojax.rigfile.schema import RigFile
 
 REFERENCE = (resources.files("hydrojax") / "paper/reference.toml").read_text()
@@ -123,8 +123,8 @@ def one(spec, kind):
 def closed_loop(spec, seconds, seed=3):
     """A run of the rig as its file says, with noise."""
     loop = build_loop(spec)
-    scenario = recording.read_scenario(spec, loop, seconds=seconds, seed=seed)
-    return loop, simulate(loop, scenario)
+    scenario = rig_scenario(spec, loop, seconds=seconds, seed=seed)
+    return loop, simulate_loop(loop, scenario)
 
 
 # -- toml --

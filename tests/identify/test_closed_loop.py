@@ -6,12 +6,13 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from hydrojax.control.simulation import simulate
+from hydrojax.control.simulation import simulate_loop
 from hydrojax.identify.results.closed_loop import check_loop, identified
 from hydrojax.logs.log import Log
 from hydrojax.parameters import get, parameter_specs
 from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import build_loop, build_rig
+from hydrojax.rigfile.scenarios import rig_scenario
 from hydrojax.rigfile.schema import RigFile
 
 TRAVEL = (-0.02, 0.02)
@@ -30,9 +31,9 @@ def log(spec, tmp_path_factory):
     """Five seconds of the reference rig, with noise and encoder, as a file."""
     rig = build_rig(spec)
     loop = build_loop(spec, rig)
-    scenario = recording.read_scenario(spec, loop, seconds=5.0, seed=2)
+    scenario = rig_scenario(spec, loop, seconds=5.0, seed=2)
     path = tmp_path_factory.mktemp("loop") / "log.csv"
-    recording.write_log(path, recording.columns(simulate(loop, scenario), spec))
+    recording.write_log(path, recording.columns(simulate_loop(loop, scenario), spec))
     return Log.load(path, spec.channels)
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hydrojax.control.simulation import simulate
+from hydrojax.control.simulation import simulate_loop
 from hydrojax.errors import InputError
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
@@ -21,6 +21,7 @@ from hydrojax.identify.experiment import (
 )
 from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import build_loop, build_rig
+from hydrojax.rigfile.scenarios import rig_scenario
 from hydrojax.rigfile.schema import RigFile
 
 LIMITS = ExcitationLimits(force=600.0, speed=0.02, travel=0.015, seconds=3.0)
@@ -95,11 +96,9 @@ def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
     )
     rig = build_rig(spec)
     loop = build_loop(spec, rig)
-    again = recording.read_scenario(
-        spec, loop, str(scenario), str(scenario), 60.0, seed=3
-    )
+    again = rig_scenario(spec, loop, str(scenario), str(scenario), 60.0, seed=3)
     log = tmp_path / "log.csv"
-    recording.write_log(log, recording.columns(simulate(loop, again), spec))
+    recording.write_log(log, recording.columns(simulate_loop(loop, again), spec))
     away = tmp_path / "away.toml"
     text = rig_file.read_text()
     for unit, value in FREE.values():

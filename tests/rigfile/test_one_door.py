@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from hydrojax import effects as vocabulary
 from hydrojax.cli import app
-from hydrojax.control.simulation import hold, make_scenario, simulate
+from hydrojax.control.simulation import hold, make_scenario, simulate_loop
 from hydrojax.export.tree import plant
 from hydrojax.paper import experiments
 from hydrojax.parameters import get, parameter_specs
@@ -115,7 +115,7 @@ def test_simulate_runs_the_plant_of_the_file():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         runs = [
-            simulate(loop, scenario)["F"]
+            simulate_loop(loop, scenario)["F"]
             for loop in (build_loop(file), open_setting(file).loop)
         ]
     assert np.array_equal(*runs)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hydrojax import cli
-from hydrojax.control.inputs import to_and_fro
 from hydrojax.control.simulation import make_scenario
+from hydrojax.control.waveforms import sinusoidal_path
 from hydrojax.identify.estimation.box import Stretch, smallest_box
 from hydrojax.paper.records import reference
 from hydrojax.parameters import put
@@ -70,7 +70,7 @@ def loop_and_courses():
     t = np.arange(2000) * 1e-3
     F_d = 300 * np.sin(2 * np.pi * 0.7 * t)
     scenarios = [
-        make_scenario(F_d, to_and_fro(0.03, period), 1e-3, **spec.supply, seed=1)
+        make_scenario(F_d, sinusoidal_path(0.03, period), 1e-3, **spec.supply, seed=1)
         for period in (1.0, 1.6)
     ]
     return loop, jax.tree.map(lambda *a: jnp.stack(a), *scenarios)
