@@ -16,7 +16,7 @@ from hydrojax.identify.report.figures import png
 from hydrojax.report.files import write_all
 from hydrojax.report.page import Picture
 from hydrojax.report.page import page as make_page
-from hydrojax.report.text import p_text, words
+from hydrojax.report.text import p_text, quantity_text, words
 from hydrojax.rigfile import controller
 from hydrojax.rigfile.edit import text
 from hydrojax.workflows.fleet import friction, pictures, summary
