@@ -2,6 +2,7 @@
 
 from . import effects as effects
 from . import export as export
+from . import paper as paper
 from .api import fit as fit
 from .api import trace as trace
 from .control.base import AbstractController as AbstractController

@@ -207,14 +207,14 @@ def paper(out: Out = Path("hydrojax-paper")) -> None:
     import json
 
     from hydrojax.identify.report.figures import png
-    from hydrojax.paper import experiments as experiments
-    from hydrojax.paper.figures import figures
+    from hydrojax.paper import experiments
+    from hydrojax.paper.figures import paper_figures
 
     with show_progress() as progress:
         found = experiments.experiments(progress)
         progress("draw")
-        drawn = figures(found)
-        content = experiments.json_of(found)
+        drawn = paper_figures(found)
+        content = experiments.paper_json(found)
     files = {f"{name}.png": png(figure) for name, figure in drawn.items()}
     files["paper.json"] = (json.dumps(content, indent=1) + "\n").encode()
     write_all(out, files)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.control.base import (
     AbstractController,
@@ -33,15 +33,15 @@ measured pressure may touch P_s or P_r, where the valve's gain vanishes."""
 class Estimates(NamedTuple):
     """One value for each estimate: 1/beta of (28), A_a of (29), theta_f of (30)."""
 
-    k_1: Array
-    A_a: Array
-    k_cp: Array
-    k_cn: Array
-    k_0: Array
-    k_vp: Array
-    k_vn: Array
-    k_fp: Array
-    k_fn: Array
+    k_1: Float[Array, "*batch"]
+    A_a: Float[Array, "*batch"]
+    k_cp: Float[Array, "*batch"]
+    k_cn: Float[Array, "*batch"]
+    k_0: Float[Array, "*batch"]
+    k_vp: Float[Array, "*batch"]
+    k_vn: Float[Array, "*batch"]
+    k_fp: Float[Array, "*batch"]
+    k_fn: Float[Array, "*batch"]
 
     @property
     def theta_f(self) -> Theta:
@@ -90,23 +90,23 @@ class Memory(NamedTuple):
     """What the law remembers between samples, SI."""
 
     estimates: Estimates
-    x: Array
-    v: Array
-    z: Array
-    speed: Array
-    P_d: Array
-    P_d_rate: Array
+    x: Float[Array, "*batch"]
+    v: Float[Array, "*batch"]
+    z: Float[Array, "*batch"]
+    speed: Float[Array, "*batch"]
+    P_d: Float[Array, "*batch"]
+    P_d_rate: Float[Array, "*batch"]
 
 
 class ControllerSignals(NamedTuple):
     """What the law made of one sample: the signals of (23)-(25), SI."""
 
-    P: Array
-    P_d: Array
-    P_d_rate: Array
-    v: Array
-    swept: Array
-    virtual: Array
+    P: Float[Array, "*batch"]
+    P_d: Float[Array, "*batch"]
+    P_d_rate: Float[Array, "*batch"]
+    v: Float[Array, "*batch"]
+    swept: Float[Array, "*batch"]
+    virtual: Float[Array, "*batch"]
 
 
 class Law(AbstractController):
@@ -132,22 +132,26 @@ class Law(AbstractController):
     rate: Estimates
     lower: Estimates
     upper: Estimates
-    P_r: Array
-    k_p: Array = gain(
+    P_r: Float[Array, ""]
+    k_p: Float[Array, ""] = gain(
         "m^2/(s*N)", 1.4e-7, 0.0, 1e-4, "gain on the pressure error",
         written="V/kN", volts=True,
     )  # fmt: skip
-    k_f: Array = gain(
+    k_f: Float[Array, ""] = gain(
         "m^2/(s*N)", 2.8e-7, 0.0, 1e-4, "gain on the force error",
         written="V/kN", volts=True,
     )  # fmt: skip
-    u_max: Array = gain("{u}", 10.0, 0.0, 100.0, "where the command saturates")
-    tau_d: Array = gain("s", 0.0, 0.0, 1.0, "time constant of the rate of P_d")
-    tau_v: Array = gain(
+    u_max: Float[Array, ""] = gain(
+        "{u}", 10.0, 0.0, 100.0, "where the command saturates"
+    )
+    tau_d: Float[Array, ""] = gain(
+        "s", 0.0, 0.0, 1.0, "time constant of the rate of P_d"
+    )
+    tau_v: Float[Array, ""] = gain(
         "s", 0.0, 0.0, 1.0, "time constant of the velocity from the position"
     )
 
-    def init(self, measured: Measured, F_d: Array) -> Memory:
+    def init(self, measured: Measured, F_d: Float[Array, "..."]) -> Memory:
         """At rest, at the first sample."""
         middle = jax.tree.map(lambda a, b: (a + b) / 2, self.lower, self.upper)
         estimates = Estimates(
@@ -158,8 +162,12 @@ class Law(AbstractController):
         return Memory(estimates, measured.x, zero, zero, zero, P_d, zero)
 
     def step(
-        self, memory: Memory, measured: Measured, F_d: Array, h: Array
-    ) -> tuple[Memory, Array, dict[str, Array]]:
+        self,
+        memory: Memory,
+        measured: Measured,
+        F_d: Float[Array, "..."],
+        h: Float[Array, "..."],
+    ) -> tuple[Memory, Float[Array, "..."], dict[str, Float[Array, "..."]]]:
         """One sample: new memory, the command u* (V or 1), and what led to it.
 
         Recorded are the fields of `ControllerSignals`, the nine estimates that made the
@@ -211,14 +219,19 @@ class Law(AbstractController):
         return memory, self.command(virtual, measured), signals
 
     def desired(
-        self, estimates: Estimates, z: Array, v: Array, speed: Array, F_d: Array
-    ) -> tuple[Array, Theta]:
+        self,
+        estimates: Estimates,
+        z: Float[Array, "..."],
+        v: Float[Array, "..."],
+        speed: Float[Array, "..."],
+        F_d: Float[Array, "..."],
+    ) -> tuple[Float[Array, "..."], Theta]:
         """P_d (N) of (24)(25), and the row of (26) that made it."""
         row = self.nominal.mechanics.regressor(z, v, speed, F_d)
         f = sum(y * k for y, k in zip(row, estimates.theta_f, strict=True))
         return F_d + f, row
 
-    def chi(self, x: Array) -> Array:
+    def chi(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
         """What (19) calls chi, 1/m.
 
         With two areas, `A_a chi` is `A_1/x_a1 + A_2/x_a2`, A_a their mean over the
@@ -230,7 +243,9 @@ class Law(AbstractController):
         mean = mean_area(self.nominal)
         return (w_1 * areas[0] / x_1 + w_2 * areas[1] / x_2) / mean
 
-    def command(self, virtual: Array, measured: Measured) -> Array:
+    def command(
+        self, virtual: Float[Array, "..."], measured: Measured
+    ) -> Float[Array, "..."]:
         """u* from u by (18), saturated."""
         x_1, x_2 = self.nominal.chambers.lengths(measured.x)
         w_1, w_2 = self._pushing()
@@ -246,7 +261,7 @@ class Law(AbstractController):
         u = -virtual / jnp.where(virtual < 0, up, down)
         return within(u, -self.u_max, self.u_max)
 
-    def _pushing(self) -> tuple[Array, Array]:
+    def _pushing(self) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         """How much of each chamber's pressure reaches P: 1, or 0 where it is open."""
         n = self.nominal
         return (
@@ -255,11 +270,25 @@ class Law(AbstractController):
         )
 
 
-def mean_area(rig: Rig) -> Array:
+def mean_area(rig: Rig) -> Float[Array, "..."]:
     """A_a of (16)-(23): the mean area of the chambers that push, m^2."""
     c = rig.chambers
     w_1, w_2 = rig.force_area_1 / c.area_1, rig.force_area_2 / c.area_2
     return (w_1 * c.area_1 + w_2 * c.area_2) / (w_1 + w_2)
+
+
+def adaptive_law(controller: AbstractController) -> Law:
+    """The controller, which must be the paper's law.
+
+    Raises:
+        TypeError: it is another.
+    """
+    if not isinstance(controller, Law):
+        raise TypeError(
+            f"invalid controller {type(controller).__name__}: expected the paper's "
+            "law, hydrojax.control.adaptive.Law"
+        )
+    return controller
 
 
 def truth(rig: Rig) -> Estimates:
@@ -269,8 +298,13 @@ def truth(rig: Rig) -> Estimates:
 
 
 def project(
-    theta: Array, s: Array, rate: Array, lower: Array, upper: Array, h: Array
-) -> Array:
+    theta: Float[Array, "..."],
+    s: Float[Array, "..."],
+    rate: Float[Array, "..."],
+    lower: Float[Array, "..."],
+    upper: Float[Array, "..."],
+    h: Float[Array, "..."],
+) -> Float[Array, "..."]:
     """The function P of (28)-(30) over `h` seconds: `theta' = rate s kappa`.
 
     kappa is 0 where theta is at a bound and s points outward: the bound itself is then

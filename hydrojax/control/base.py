@@ -63,7 +63,7 @@ class AbstractController(eqx.Module):
         u_max: where the command saturates, V or 1; declare it with `param`.
     """
 
-    u_max: eqx.AbstractVar[Array]
+    u_max: eqx.AbstractVar[Float[Array, ""]]
 
     @abc.abstractmethod
     def init(self, measured: Measured, F_d: Float[Array, ""]) -> Any:
@@ -81,7 +81,7 @@ class AbstractController(eqx.Module):
         measured: Measured,
         F_d: Float[Array, ""],
         h: Float[Array, ""],
-    ) -> tuple[Any, Float[Array, ""], dict[str, Array]]:
+    ) -> tuple[Any, Float[Array, ""], dict[str, Float[Array, ""]]]:
         """One sample.
 
         Args:

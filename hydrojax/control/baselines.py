@@ -18,9 +18,11 @@ class PIController(AbstractController):
         u_max: where the command saturates, V or 1; the integral then stands still.
     """
 
-    k_p: Array = param("{u}/N", 1e-3, 0.0, 1.0, "proportional gain")
-    k_i: Array = param("{u}/(N*s)", 1e-2, 0.0, 100.0, "integral gain")
-    u_max: Array = param("{u}", 10.0, 0.0, 100.0, "where the command saturates")
+    k_p: Float[Array, ""] = param("{u}/N", 1e-3, 0.0, 1.0, "proportional gain")
+    k_i: Float[Array, ""] = param("{u}/(N*s)", 1e-2, 0.0, 100.0, "integral gain")
+    u_max: Float[Array, ""] = param(
+        "{u}", 10.0, 0.0, 100.0, "where the command saturates"
+    )
 
     def init(self, measured: Measured, F_d: Float[Array, ""]) -> Float[Array, ""]:
         """No error has been integrated, N s."""
@@ -32,7 +34,7 @@ class PIController(AbstractController):
         measured: Measured,
         F_d: Float[Array, ""],
         h: Float[Array, ""],
-    ) -> tuple[Float[Array, ""], Float[Array, ""], dict[str, Array]]:
+    ) -> tuple[Float[Array, ""], Float[Array, ""], dict[str, Float[Array, ""]]]:
         """One sample; records the error of the force, N."""
         error = F_d - measured.F
         integral = memory + h * error

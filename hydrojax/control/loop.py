@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.control.base import Measured
 from hydrojax.plant import step as plant_step
@@ -27,13 +27,13 @@ class Sensors(eqx.Module):
     `step` is the step of the position in m, 0 for none.
     """
 
-    P_a1: Array
-    P_a2: Array
-    P_s: Array
-    F: Array
-    step: Array
+    P_a1: Float[Array, ""]
+    P_a2: Float[Array, ""]
+    P_s: Float[Array, ""]
+    F: Float[Array, ""]
+    step: Float[Array, ""]
 
-    def read(self, truth: Measured, noise: Array) -> Measured:
+    def read(self, truth: Measured, noise: Float[Array, "..."]) -> Measured:
         """The readings of `truth` with `noise` [..., 4], standard normal numbers."""
         sizes = (self.P_a1, self.P_a2, self.P_s, self.F)
         read = [
@@ -43,7 +43,7 @@ class Sensors(eqx.Module):
         return Measured(*read, x=quantise(truth.x, self.step))
 
 
-def quantise(x: Array, step: Array) -> Array:
+def quantise(x: Float[Array, "..."], step: Float[Array, "..."]) -> Float[Array, "..."]:
     """`x` rounded to multiples of `step` (0: as it is), with the derivative of `x`.
 
     The rounding's own derivative is nothing almost everywhere, which says nothing
@@ -62,11 +62,11 @@ class Scenario(NamedTuple):
     `x` [N, parts, 3], `v`, `a` [N, parts].
     """
 
-    t: Array
-    F_d: Array
-    noise: Array
-    P_s: Array
-    P_r: Array
+    t: Float[Array, "N"]
+    F_d: Float[Array, "N"]
+    noise: Float[Array, "N 4"]
+    P_s: Float[Array, "N 2"]
+    P_r: Float[Array, "N 2"]
     environment: EnvironmentMotion
 
 
@@ -81,19 +81,21 @@ class Loop(eqx.Module):
     law: Any  # an AbstractController; typed so that its own gains can be reached
     load: AbstractLoad
     sensors: Sensors
-    h: Array
-    P_start: Array
+    h: Float[Array, ""]
+    P_start: Float[Array, ""]
 
 
 class _Carry(NamedTuple):
     plant: State
     law: Any
-    gauges: tuple[Array, Array]  # what the pressure sensors say, before noise
-    cell: Array  # what the load cell says, before noise
-    F: Array
+    gauges: tuple[
+        Float[Array, ""], Float[Array, ""]
+    ]  # what the pressure sensors say, before noise
+    cell: Float[Array, ""]  # what the load cell says, before noise
+    F: Float[Array, ""]
 
 
-def _inputs(loop: Loop, row: Scenario, u: Array) -> StepInput:
+def _inputs(loop: Loop, row: Scenario, u: Float[Array, ""]) -> StepInput:
     """One row of a scenario as the plant takes it, under the command `u`."""
     environment = row.environment
     return StepInput(
@@ -127,7 +129,9 @@ def begin(loop: Loop, scenario: Scenario) -> _Carry:
     return _Carry(plant, law, gauges, read["F"], read["true_F"])
 
 
-def step(loop: Loop, carry: _Carry, row: Scenario) -> tuple[_Carry, dict[str, Array]]:
+def step(
+    loop: Loop, carry: _Carry, row: Scenario
+) -> tuple[_Carry, dict[str, Float[Array, ""]]]:
     """One sample: sense, decide, act until the next.
 
     Args:
@@ -163,15 +167,17 @@ def step(loop: Loop, carry: _Carry, row: Scenario) -> tuple[_Carry, dict[str, Ar
 def signal_names(loop: Loop, scenario: Scenario) -> tuple[str, ...]:
     """What a run can give at each sample: see `step`."""
 
-    def one(loop: Loop, scenario: Scenario) -> dict[str, Array]:
+    def one(loop: Loop, scenario: Scenario) -> dict[str, Float[Array, ""]]:
         tick = jax.tree.map(lambda a: a[0], scenario)
         return step(loop, begin(loop, scenario), tick)[1]
 
     return tuple(eqx.filter_eval_shape(one, loop, scenario))
 
 
-def run(loop: Loop, scenario: Scenario, keep: tuple[str, ...]) -> Array:
-    """The signals `keep` at every sample, [N, len(keep)], SI; to be jitted or vmapped.
+def run(
+    loop: Loop, scenario: Scenario, keep: tuple[str, ...]
+) -> Float[Array, "N signals"]:
+    """The signals `keep` at every sample, SI; to be jitted or vmapped.
 
     One array comes out of the scan, since several of one shape are copied whole at
     every step by some versions of XLA's CPU compiler.

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, Float
 
 from hydrojax.control.loop import Loop, Scenario, run, signal_names
 from hydrojax.jax_setup import bucket
@@ -19,7 +19,7 @@ from hydrojax.plant.load import EnvironmentMotion
 PARTS = 4
 """Parts of a control period in which the plant acts; a test shows what they cost."""
 
-Trajectory = Callable[[np.ndarray, int], np.ndarray]
+Trajectory = Callable[[Float[np.ndarray, "*times"], int], Float[np.ndarray, "*times"]]
 """A motion: `trajectory(t, nu)` is its nu-th derivative at times t, m, m/s, m/s^2."""
 
 _run = eqx.filter_jit(run)
@@ -34,13 +34,13 @@ class Run:
     many the piston was beyond a chamber's end.
     """
 
-    t: np.ndarray
-    F_d: np.ndarray
-    signals: dict[str, np.ndarray]
+    t: Float[np.ndarray, "N"]
+    F_d: Float[np.ndarray, "N"]
+    signals: dict[str, Float[np.ndarray, "N"]]
     leaves: tuple[int, int]
     ends: int = 0
 
-    def __getitem__(self, name: str) -> np.ndarray:
+    def __getitem__(self, name: str) -> Float[np.ndarray, "N"]:
         return self.signals[name]
 
     @property
@@ -112,8 +112,8 @@ def make_scenario(
     F_d: ArrayLike,
     path: Trajectory,
     h: float,
-    P_s: float | np.ndarray,
-    P_r: float | np.ndarray,
+    P_s: float | Float[np.ndarray, "edges"],
+    P_r: float | Float[np.ndarray, "edges"],
     seed: int | None = None,
     parts: int = PARTS,
 ) -> Scenario:

@@ -8,8 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from hydrojax.control.adaptive import Estimates, mean_area, truth
+from hydrojax.control.adaptive import Estimates, adaptive_law, mean_area, truth
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.control.simulation import Run
 from hydrojax.plant.valve import metering_edges
@@ -18,40 +19,43 @@ ROUNDS, LANES = 4, 12
 """Rounds of the search for the least supply pressure, and runs side by side in each."""
 
 
-def _drive_force(loop: Loop, run: Run) -> np.ndarray:
+def _drive_force(loop: Loop, run: Run) -> Float[np.ndarray, "samples"]:
     """The true drive force at every sample, [N], N."""
     P_1, P_2 = (jnp.asarray(run[name]) for name in ("true_P_a1", "true_P_a2"))
     return np.asarray(loop.rig.drive_force(P_1, P_2))
 
 
-def lyapunov(loop: Loop, run: Run) -> np.ndarray:
+def lyapunov(loop: Loop, run: Run) -> Float[np.ndarray, "samples"]:
     """W of (31) at every sample, [N], N^2/Pa.
 
     The plant's own parameters are the truth it measures from. An estimate that is not
     adapted has no term: its error is constant, and (31) divides by its rate.
+
+    Raises:
+        TypeError: another controller than the paper's law.
     """
-    own = truth(loop.rig)
+    own, law = truth(loop.rig), adaptive_law(loop.law)
     P = _drive_force(loop, run)
     W = (run["P_d"] - P) ** 2 * float(own.k_1)
     for name in Estimates._fields:
-        rate = float(getattr(loop.law.rate, name))
+        rate = float(getattr(law.rate, name))
         if rate:
-            weight = 1.0 if name in ("k_1", "A_a") else float(loop.law.k_f)
+            weight = 1.0 if name in ("k_1", "A_a") else float(law.k_f)
             off = float(getattr(own, name)) - run[name]
             W = W + weight / rate * off**2
     return W / 2
 
 
-def lyapunov_bound(loop: Loop, run: Run) -> np.ndarray:
+def lyapunov_bound(loop: Loop, run: Run) -> Float[np.ndarray, "samples"]:
     """The bound (35) on the rate of W at every sample, [N], N^2/(Pa s); never > 0."""
-    P = _drive_force(loop, run)
+    P, law = _drive_force(loop, run), adaptive_law(loop.law)
     return (
-        -float(loop.law.k_p) * (run["P_d"] - P) ** 2
-        - float(loop.law.k_f) * (run.F_d - run["true_F"]) ** 2
+        -float(law.k_p) * (run["P_d"] - P) ** 2
+        - float(law.k_f) * (run.F_d - run["true_F"]) ** 2
     )
 
 
-def largest_rise(W: np.ndarray) -> float:
+def largest_rise(W: Float[np.ndarray, "samples"]) -> float:
     """The most that W climbs above its least value so far, as a share of its first."""
     return float(np.max(W - np.minimum.accumulate(W)) / W[0])
 
@@ -74,7 +78,10 @@ def supply_condition(loop: Loop, scenario: Scenario, out: Run) -> float:
     """The right-hand side of (42) along a run, Pa; see `Supply`. For equal areas."""
     u = out["u"]
     busy = np.abs(u) >= np.max(np.abs(u)) / 10
-    c, beta = metering_edges(loop.law.nominal.valve), float(loop.rig.chambers.beta)
+    c, beta = (
+        metering_edges(adaptive_law(loop.law).nominal.valve),
+        float(loop.rig.chambers.beta),
+    )
     area = float(mean_area(loop.rig))
     P_s, P_r = (np.asarray(p[:, 0]) for p in (scenario.P_s, scenario.P_r))
     P_1, P_2 = out["true_P_a1"], out["true_P_a2"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 from scipy import signal
 
 from hydrojax.control.simulation import Trajectory
@@ -46,8 +47,10 @@ def random_path(
     return path
 
 
-def random_sines(rng: np.random.Generator, t: np.ndarray, rms: float) -> np.ndarray:
-    """Desired force of forty sines of 0.1 to 20 Hz that fall off above 2 Hz, [n], N."""
+def random_sines(
+    rng: np.random.Generator, t: Float[np.ndarray, "n"], rms: float
+) -> Float[np.ndarray, "n"]:
+    """Desired force of forty sines of 0.1 to 20 Hz that fall off above 2 Hz, N."""
     hertz = np.exp(rng.uniform(np.log(0.1), np.log(20.0), 40))
     size = 1 / (1 + hertz / 2)
     size *= rms / np.sqrt(np.sum(size**2) / 2)
@@ -57,8 +60,8 @@ def random_sines(rng: np.random.Generator, t: np.ndarray, rms: float) -> np.ndar
 
 def band_noise(
     rng: np.random.Generator, n: int, h: float, rms: float, band: float
-) -> np.ndarray:
-    """White noise up to `band` Hz (fourth-order Butterworth), [n] every `h` s, N."""
+) -> Float[np.ndarray, "n"]:
+    """White noise up to `band` Hz (fourth-order Butterworth), every `h` s, N."""
     white = rng.normal(size=n)
     if band < 0.5 / h:
         filter_ = signal.butter(4, band, fs=1 / h, output="sos")

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from scipy import signal
 
 from hydrojax.control import theory
@@ -76,7 +77,7 @@ def _stack(loops: list[Loop]) -> Loop:
 
 @eqx.filter_jit
 def _runs(loops: Loop, scenarios: Any, keep: tuple[str, ...]) -> jax.Array:
-    """Runs side by side, [lanes, N, len(keep)]: loops [lanes] on courses [lanes]."""
+    """Runs side by side, [lanes, N, len(keep)]: loops [lanes] on scenarios [lanes]."""
     return jax.vmap(lambda loop, scenario: run(loop, scenario, keep))(loops, scenarios)
 
 
@@ -87,7 +88,7 @@ def _repeat(tree: Any, count: int) -> Any:
 def _scenario(
     spec: RigFile, F_d: np.ndarray, path: Trajectory, h: float, seed: int | None = None
 ) -> Scenario:
-    """A course under the rig file's supply."""
+    """A scenario under the rig file's supply."""
     P_s, P_r = spec.supply["P_s"], spec.supply["P_r"]
     return make_scenario(F_d, path, h, P_s, P_r, seed=seed)
 
@@ -173,7 +174,9 @@ def response(seconds: float = 60.0) -> Response:
     )
 
 
-def within(hertz: np.ndarray, dB: np.ndarray, most: float = 1.0) -> float:
+def within(
+    hertz: Float[np.ndarray, "n"], dB: Float[np.ndarray, "n"], most: float = 1.0
+) -> float:
     """The frequency up to which |dB| stays within `most`, Hz, between points by line.
 
     0 if the first point is outside, the last frequency if none is.
@@ -210,7 +213,7 @@ def descent(
     return out
 
 
-def least_supply() -> theory.Supply:
+def supply_of_tracking() -> theory.Supply:
     """The supply condition (42) on the run of Fig. 3 (a)."""
     spec, rig = reference()
     loop = build_loop(spec, rig)
@@ -222,7 +225,7 @@ def least_supply() -> theory.Supply:
 
 
 def experiments(progress: Callable[[str], None] = lambda _: None) -> Experiments:
-    """All of the paper's experiments; `tell` hears what is being done."""
+    """All of the paper's experiments; `progress` is called at each stage."""
     progress("Figs. 2 to 4: tracking")
     tracks, ablation = tracking()
     progress("Fig. 5: white noise and sines")
@@ -230,10 +233,10 @@ def experiments(progress: Callable[[str], None] = lambda _: None) -> Experiments
     progress("Lyapunov function (31)")
     falls = descent()
     progress("supply condition (42)")
-    return Experiments(tracks, ablation, shown, falls, least_supply())
+    return Experiments(tracks, ablation, shown, falls, supply_of_tracking())
 
 
-def json_of(found: Experiments) -> dict[str, Any]:
+def paper_json(found: Experiments) -> dict[str, Any]:
     """The content of paper.json: N, Hz, dB, Pa."""
     r = found.response
     rms = {

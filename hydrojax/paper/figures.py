@@ -133,7 +133,7 @@ def ablation_figure(found: Experiments) -> Figure:
     return fig
 
 
-def figures(found: Experiments) -> dict[str, Figure]:
+def paper_figures(found: Experiments) -> dict[str, Figure]:
     """Every picture of `hydrojax paper`, by its file's stem."""
     tracks = {
         name.replace("fig", "figure_"): tracking_figure(name, cases)

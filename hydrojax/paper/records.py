@@ -67,9 +67,14 @@ class Experiments:
     supply: theory.Supply
 
 
-def reference() -> tuple[RigFile, Rig]:
-    """The reference rig's file and its plant: 200 Hz spool, 1 ms of computing."""
+def reference_rig() -> RigFile:
+    """The reference rig: 200 Hz spool, 1 ms of computing."""
     file = resources.files("hydrojax") / "paper" / "reference.toml"
     with resources.as_file(file) as path:
-        spec = RigFile.load(path)
+        return RigFile.load(path)
+
+
+def reference() -> tuple[RigFile, Rig]:
+    """The reference rig's file and its plant."""
+    spec = reference_rig()
     return spec, build_rig(spec)

@@ -18,7 +18,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax import units
 from hydrojax.control.adaptive import RATES, Estimates, Law
@@ -48,12 +48,12 @@ class Setting(eqx.Module):
     """
 
     loop: Loop
-    x: Array
-    v: Array
-    F_0: Array
-    P_s: Array
-    P_r: Array
-    amplitude: Array
+    x: Float[Array, ""]
+    v: Float[Array, ""]
+    F_0: Float[Array, ""]
+    P_s: Float[Array, ""]
+    P_r: Float[Array, ""]
+    amplitude: Float[Array, ""]
 
 
 Reach = Callable[[Setting], list[Any]]
@@ -85,7 +85,7 @@ class Quantity:
     parameter: str = ""
     gain: bool = False
 
-    def get(self, setting: Setting) -> Array:
+    def get(self, setting: Setting) -> Float[Array, ""]:
         """Its value in `unit`: of two bounds, their middle."""
         if self.reach is None:
             stored = get(setting.loop.rig, (self.parameter,))[0]
@@ -94,7 +94,7 @@ class Quantity:
             stored = jnp.mean(jnp.stack(places), axis=0)
         return (1 / stored if self.reciprocal else stored) / self.factor
 
-    def put(self, setting: Setting, value: Array | float) -> Setting:
+    def put(self, setting: Setting, value: Float[Array, ""] | float) -> Setting:
         """The setting with the value given in `unit`."""
         new = jnp.asarray(value, float) * self.factor
         new = 1 / new if self.reciprocal else new

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import scipy.io
+from jaxtyping import Float
 
 from hydrojax.control.simulation import Run
 from hydrojax.errors import InputError
@@ -22,7 +23,7 @@ KINDS = (".csv", ".csv.gz", ".parquet", ".mat")
 """What a log may be saved as."""
 
 
-def position(log: Log, spec: RigFile) -> np.ndarray:
+def position(log: Log, spec: RigFile) -> Float[np.ndarray, "n"]:
     """The piston's position in a log, [n], m.
 
     Raises:
@@ -40,7 +41,9 @@ def position(log: Log, spec: RigFile) -> np.ndarray:
     raise InputError(f"{log.name}: no motion: give a column x [m] or psi [rad]")
 
 
-def place_column(x: np.ndarray, spec: RigFile) -> tuple[str, str, np.ndarray]:
+def place_column(
+    x: Float[np.ndarray, "n"], spec: RigFile
+) -> tuple[str, str, Float[np.ndarray, "n"]]:
     """Name, unit and values of the position [n] (m) as this rig logs it."""
     radius = spec.geometry.get("radius")
     if radius:
@@ -49,14 +52,17 @@ def place_column(x: np.ndarray, spec: RigFile) -> tuple[str, str, np.ndarray]:
 
 
 def scenario_columns(
-    t: np.ndarray, F_d: np.ndarray, x: np.ndarray, spec: RigFile
-) -> dict[str, tuple[str, np.ndarray]]:
+    t: Float[np.ndarray, "n"],
+    F_d: Float[np.ndarray, "n"],
+    x: Float[np.ndarray, "n"],
+    spec: RigFile,
+) -> dict[str, tuple[str, Float[np.ndarray, "n"]]]:
     """Reference and motion as the columns of a log; [n] each, s, N, m."""
     name, unit, place = place_column(x, spec)
     return {"time": ("s", t), name: (unit, place), "F_d": ("N", F_d)}
 
 
-def columns(run: Run, spec: RigFile) -> dict[str, tuple[str, np.ndarray]]:
+def columns(run: Run, spec: RigFile) -> dict[str, tuple[str, Float[np.ndarray, "n"]]]:
     """A run's log: unit and values by the contract's names."""
     place, unit, values = place_column(run["x"], spec)
     out = {
@@ -70,7 +76,9 @@ def columns(run: Run, spec: RigFile) -> dict[str, tuple[str, np.ndarray]]:
     return out | {"F_d": ("N", run.F_d)}
 
 
-def write_log(path: Path, table: Mapping[str, tuple[str, np.ndarray]]) -> None:
+def write_log(
+    path: Path, table: Mapping[str, tuple[str, Float[np.ndarray, "n"]]]
+) -> None:
     """Write a log, whole or not at all.
 
     Args:

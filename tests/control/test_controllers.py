@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 
-from hydrojax.control.adaptive import Law
+from hydrojax.control.adaptive import Law, adaptive_law
 from hydrojax.control.base import AbstractController, Gain
 from hydrojax.control.baselines import PIController
 from hydrojax.control.loop import signal_names
@@ -148,3 +148,10 @@ def test_a_loop_is_opened_at_the_command_of_any_controller(file):
         jnp.asarray(100.0), jnp.asarray(1e-3),
     )  # fmt: skip
     assert float(law.step(*given)[1] - MyPI().step(*given)[1]) == pytest.approx(0.25)
+
+
+def test_the_theorems_are_of_the_adaptive_law():
+    with pytest.raises(TypeError, match="invalid controller PIController: expected"):
+        adaptive_law(PIController())
+    law = build_loop(RigFile.load(RIG)).law
+    assert adaptive_law(law) is law

@@ -15,7 +15,6 @@ from hydrojax.control.simulation import Trajectory
 from hydrojax.effects import FrictionForce, param
 from hydrojax.effects.valve import ValveLag
 from hydrojax.logs.log import Log
-from hydrojax.paper import experiments
 from hydrojax.plant.friction import Sliding
 from hydrojax.rigfile.build import build_rig
 
@@ -34,7 +33,7 @@ class Drag(FrictionForce):
 
 @pytest.fixture(scope="module")
 def rig() -> hj.RigFile:
-    return experiments.reference()[0]
+    return hj.paper.reference_rig()
 
 
 RUN = {"reference": inputs.sine("300 N", "2 Hz"), "seconds": 0.6, "seed": 3}
