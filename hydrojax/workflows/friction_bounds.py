@@ -140,11 +140,11 @@ def _scenarios(
                 "asked for; give logs that have it"
             )
     rerun = [scenarios.rerun(spec, loop, log, MOST_SECONDS) for log in logs]
-    scenarios = [scenario for scenario, _ in rerun if scenario is not None]
-    if not scenarios:
+    found = [scenario for scenario, _ in rerun if scenario is not None]
+    if not found:
         raise InputError(f"{logs[0].name}: no two seconds without a gap to run again")
-    least = min(c.F_d.size for c in scenarios)
-    cut = [jax.tree.map(lambda a: a[:least], c) for c in scenarios]
+    least = min(c.F_d.size for c in found)
+    cut = [jax.tree.map(lambda a: a[:least], c) for c in found]
     return rerun[0][1], jax.tree.map(lambda *a: jnp.stack(a), *cut)
 
 

@@ -125,7 +125,7 @@ class Problem:
     ) -> tuple[Float[np.ndarray, "n"], Fit]:
         """Move `free` from `values` to the best fit; returns all values, and how.
 
-        `noise` stands in for the problem's own where a part of the
+        `noise` replaces the problem's own where a part of the
         model is fitted by itself.
         """
         free = tuple(self.free if free is None else free)

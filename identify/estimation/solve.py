@@ -15,7 +15,7 @@ DAMPING = 1e-4
 
 
 ENOUGH = 1e-6
-"""A fit ends when the next step is foreseen to lower the cost by less than this share
+"""A fit ends when the next step is predicted to lower the cost by less than this share
 of it (and by less than `ENOUGH_CHI2`, which is insignificant beside noise)."""
 ENOUGH_CHI2 = 1e-3
 
@@ -24,7 +24,7 @@ class _Quadratic(NamedTuple):
     at: Array
     hessian: Array
     gradient: Array
-    foreseen: Array  # by how much an almost undamped step would lower the cost
+    predicted: Array  # by how much an almost undamped step would lower the cost
 
 
 class BoxedNewton(optx.AbstractDescent):
@@ -106,13 +106,13 @@ class _BoxedLM(optx.AbstractGaussNewton):
     verbose: Callable[..., None] = _quiet
 
     def terminate(self, fn, y, args, options, state, tags):
-        """Stop on a small step, when none is foreseen to pay, or after six failures.
+        """Stop on a small step, when none is predicted to pay, or after six failures.
 
         Without the second rule a fit at its minimum goes on for a dozen rejected
         steps, which differ from it by rounding.
         """
         cost = 0.5 * jnp.sum(state.f_info.residual**2)
-        little = state.descent_state.foreseen < jnp.maximum(ENOUGH * cost, ENOUGH_CHI2)
+        little = state.descent_state.predicted < jnp.maximum(ENOUGH * cost, ENOUGH_CHI2)
         stuck = state.num_steps_since_acceptance >= 6
         stop = little | stuck
         return state.terminate | (stop & ~state.first_step), state.result

@@ -1,11 +1,11 @@
 """What drives a replay and is measured coarsely: its noise taken off as far as it goes,
-and what is left of it counted into the noise of the channels.
+and the remainder counted into the noise of the channels.
 
 Oil and bristle answer a micrometre of the piston by some 10 kPa and 20 N. The paper's
 encoder resolves 0.06 um; one of 17 bits, or a potentiometer, some microns. Pressures
-and force are then foreseen worse than they are measured, and a trace would find effects
-that are the sensor's. So it is with pressures that drive: a lag smooths their noise,
-and would be taken for one of the load cell.
+and force are then predicted worse than they are measured, and a trace would find
+effects that are the sensor's. So it is with pressures that drive: a lag smooths their
+noise, and would be taken for one of the load cell.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ Change = Callable[
 @dataclass(frozen=True)
 class Resolved:
     """Logs with what drives them as good as it gets, and those to fit made ready, with
-    what is left of its noise in that of the channels.
+    the remainder of its noise in that of the channels.
 
     `smoothed` does the same to a log that took no part in it.
     """

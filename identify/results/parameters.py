@@ -80,7 +80,7 @@ def named_effects(
     spec = parameter_specs(state.problem.model.rig)
     seen = [c for c in range(3) if np.isfinite(state.noise[c])]
     out = []
-    # What an effect did is told to where the next one came in, and the last to the end:
+    # An effect counts up to where the next one came in, the last to the end:
     # the force is fitted only after the pressures have theirs.
     ends = [errors[0], *(a.before for a in state.added[1:]), errors[1]]
     for i, added in enumerate(state.added):

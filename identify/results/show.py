@@ -128,7 +128,7 @@ def result_html(outcome: Outcome) -> str:
 
 
 def _interval(p: Parameter) -> str:
-    """An interval's ends, with as many figures as tell them apart to a hundredth."""
+    """An interval's ends, with as many figures as distinguish them to a hundredth."""
     if p.interval is None or not all(math.isfinite(end) for end in p.interval):
         return "–"
     low, high = p.interval

@@ -157,10 +157,10 @@ def _untested(
 
 
 def _undecided(effects: tuple[FoundEffect, ...]) -> list[str]:
-    """What would decide between effects that these logs cannot tell apart."""
+    """What would decide between effects that these logs do not distinguish."""
     return [
         f"{e.name} and {other} look alike in these logs: `hydrojax excite RIG "
-        f"--separate {e.name} {other}` finds a course that tells them apart"
+        f"--separate {e.name} {other}` finds an experiment that distinguishes them"
         for e in effects
         for other in e.cannot_tell_from
     ]
@@ -207,7 +207,7 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
         elif what == "absent":
             why = "these logs would have shown it at a size that matters"
         elif like := [a.name for a in state.added if name in a.cannot_tell_from]:
-            why = f"does as well as {like[0]}: these logs do not tell them apart"
+            why = f"does as well as {like[0]}: these logs do not distinguish them"
         elif what == "cannot tell":
             why = "these logs would not show it at a size that matters"
         elif not why:

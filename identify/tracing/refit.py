@@ -17,13 +17,13 @@ from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengt
 from hydrojax.plant.effect import Effect
 
 FRICTION = ("velocity", "level", "friction")
-"""Places of effects that friction's own parameters stand in for."""
+"""Places of effects for which friction's own parameters can compensate."""
 
 
 def refit(
     state: Tracing, effect: Effect, s: Score, noise: Float[np.ndarray, "3"]
 ) -> tuple[Problem, FitPoint]:
-    """Fit again with the effect free, from part of the step that its score foresees;
+    """Fit again with the effect free, from part of the step that its score predicts;
     and, as long as that leaves something, from where else it may lie.
     """
     problem, at_noise = state.problem, state.criteria.at_noise
@@ -62,7 +62,7 @@ def _elsewhere(
     if effect.place in ("sensor_P", "sensor_F"):
         return
     for back in _brought_back(problem, here, state.free, effect.place in FRICTION):
-        # What the score foresees from there is another step, often of another sign.
+        # What the score predicts from there is another step, often of another sign.
         there = replace(state, point=replace(state.point, values=back))
         other = scores_of(there, {effect.name: effect}, noise)[effect.name]
         yield _stepped(problem, back, effect, other, state.criteria.first_step)

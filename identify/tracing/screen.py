@@ -1,5 +1,5 @@
 """Every candidate's score at the present fit: at zero strength, each at its best shape,
-and as it stands where zero does not foresee what it does.
+and at a given strength where its derivative at zero does not predict it.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _nonlocal_grid(
 
 def nonlocal_starts(effect: Effect) -> list[tuple[str, float]]:
     """Values of strengths at which an effect is tried as it stands: what it does there
-    is not foreseen by its derivative at zero.
+    is not predicted by its derivative at zero.
     """
     return [
         (f"{effect.name}.{field}", value)

@@ -347,7 +347,7 @@ def test_page_says_what_the_outcome_says(written):
     for words in (
         "857.6 ± 1.2 MPa",
         "(1.030 ± 0.014) × 10⁻¹² m³/(s·Pa)",
-        "cannot tell it from gravity load or stribeck",
+        "do not distinguish it from gravity load or stribeck",
         "No other candidate accounts for the residual as well",
         "at the end of its range",
         "not identified",
