@@ -24,7 +24,7 @@ import hydrojax
 from benchmarks.fleet import Watch, make_logs
 from hydrojax.jax_setup import set_up_jax, user_cache
 from hydrojax.workflows.fleet import run as fleet
-from hydrojax.workflows.fleet.report import write_report
+from hydrojax.workflows.fleet.report import write_fleet_report
 from hydrojax.workflows.fleet.work import memory
 from tests.fleet_solvers import result
 
@@ -181,7 +181,7 @@ def long_table(folder: Path, rows: int) -> None:
     few = type(jobs)(jobs.source, jobs.folder, jobs.table.iloc[: len(part)])
     fleet.merge(store, few, part, "study")
     merged = time.perf_counter()
-    write_report(store, part, "study")
+    write_fleet_report(store, part, "study")
     print(
         f"{len(have)} results: kept in {saved - began:.1f} s, found in "
         f"{found - saved:.1f} s, merged in {merged - found:.1f} s, report in "

@@ -2,7 +2,7 @@
 
 
 class InputError(ValueError):
-    """Bad input, said in one line: the file, the column or row, and the mend.
+    """Invalid input, in one line: the file, the column or row, and how to correct it.
 
     The command line prints the line and exits with 2; library users catch it.
     """

@@ -8,6 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias, overload
 
 import numpy as np
+from jaxtyping import Num
 
 from hydrojax.errors import InputError
 
@@ -26,11 +27,11 @@ _TOWER = re.compile(
     r"(?:\*\*|\^)[\s(+-]*[\d.]+[\s)]*(?:\*\*|\^)|(?:\*\*|\^)[\s(+-]*\d\d"
 )
 """Powers of powers, and powers of more than one digit: no unit has them, and pint would
-work them out, for hours."""
+compute them for hours."""
 
 
 class _UnitError(ValueError):
-    """What is wrong with a unit, in words; the public functions say where."""
+    """An invalid unit; the public functions add where it is."""
 
 
 @cache
@@ -47,14 +48,14 @@ def _factor(unit: str, want: str) -> float:
     text = "1" if unit.strip() == "-" else unit.strip().replace("·", "*")
     if text.startswith("/"):
         text = f"1{text}"
-    mend = "give it as a plain number" if want == "1" else f"give it in {want} or so"
+    hint = "give it as a plain number" if want == "1" else f"give it in {want} or so"
     shown = repr(unit if len(unit) < 40 else f"{unit[:40]}…")
     if _TOWER.search(text):
-        raise _UnitError(f"unknown unit {shown}; {mend}")
+        raise _UnitError(f"unknown unit {shown}; {hint}")
     try:
         parsed = registry.parse_units(text)
     except Exception as err:  # pint raises a dozen kinds on text that is no unit
-        raise _UnitError(f"unknown unit {shown}; {mend}") from err
+        raise _UnitError(f"unknown unit {shown}; {hint}") from err
     if "rad" in want and "hertz" in str(parsed):
         raise _UnitError(
             f"{shown} counts cycles, not radians; multiply by 2*pi and write {want}"
@@ -63,9 +64,9 @@ def _factor(unit: str, want: str) -> float:
         zero = registry.Quantity(0.0, parsed).to(want).magnitude
         one = registry.Quantity(1.0, parsed).to(want).magnitude
     except Exception as err:
-        raise _UnitError(f"unit {shown} does not fit; {mend}") from err
+        raise _UnitError(f"unit {shown} does not fit; {hint}") from err
     if zero != 0.0:  # decibel, degC: no factor makes them SI
-        raise _UnitError(f"unit {shown} has no true zero; {mend}")
+        raise _UnitError(f"unit {shown} has no true zero; {hint}")
     return float(one)
 
 
@@ -89,11 +90,13 @@ def with_command(unit: str, command: str) -> str:
 @overload
 def to_si(value: float, unit: str, want: str, where: str) -> float: ...
 @overload
-def to_si(value: np.ndarray, unit: str, want: str, where: str) -> np.ndarray: ...
 def to_si(
-    value: float | np.ndarray, unit: str, want: str, where: str
-) -> float | np.ndarray:
-    """Convert `value`, a number or an array [...], from `unit` to the SI unit `want`.
+    value: Num[np.ndarray, "*batch"], unit: str, want: str, where: str
+) -> Num[np.ndarray, "*batch"]: ...
+def to_si(
+    value: float | Num[np.ndarray, "*batch"], unit: str, want: str, where: str
+) -> float | Num[np.ndarray, "*batch"]:
+    """Convert `value`, a number or an array, from `unit` to the SI unit `want`.
 
     Radians count as dimensionless, so rad/s and 1/s fit each other; Hz is refused
     where rad/s is wanted. "-" and "%" are dimensionless.
@@ -128,7 +131,7 @@ def quantity(text: object, want: str, where: str) -> float:
     """The SI value of a quantity such as "60 um" or, if dimensionless, "0.7".
 
     Args:
-        text: the quantity, as a string; a bare number will do if dimensionless.
+        text: the quantity, as a string; a bare number if dimensionless.
         want: the SI unit the value is returned in.
         where: file and key, to open an error line with.
 

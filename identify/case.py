@@ -190,7 +190,7 @@ def _with_command_unit(spec: RigFile, logs: Sequence[Log]) -> RigFile:
     per = [
         s for e in spec.effects for s in specs(EFFECTS[e]).values() if "{u}" in s.unit
     ]
-    if not per and not any(n.startswith("c_") for n in spec.parameters):
+    if not per and not any("{u}" in spec.base[name].unit for name in spec.parameters):
         unit = logs[0].units.get("u", spec.command_unit)
         spec = replace(spec, command_unit=unit)
     for log in logs:

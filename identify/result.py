@@ -96,7 +96,7 @@ class Result:
     @cached_property
     def rig(self) -> RigFile:
         """The rig file with the found values, and with the effects found."""
-        return RigFile.from_text(self.outcome.rig_file, self.case.spec.path)
+        return self.case.spec.with_text(self.outcome.rig_file)
 
     @cached_property
     def model(self) -> Rig:

@@ -47,7 +47,7 @@ def result(value: float, effects: Sequence[str] = ()) -> dict[str, Any]:
     return {
         "rig": "pretended",
         "verdict": "explained" if effects else "nothing missing",
-        "says": "as pretended",
+        "sentence": "as pretended",
         "parameters": {
             name: parameter(value * factor, unit)
             for name, factor, unit in (
@@ -70,7 +70,7 @@ def parameter(value: float, unit: str) -> dict[str, Any]:
     std = 0.01 * abs(value)
     return {
         "value": value, "std": std, "low": value - 1.96 * std,
-        "high": value + 1.96 * std, "unit": unit, "told": True, "at_bound": False,
+        "high": value + 1.96 * std, "unit": unit, "identified": True, "at_bound": False,
     }  # fmt: skip
 
 

@@ -1,7 +1,8 @@
-"""What a sweep's dataset says in words and shows in a notebook: `data.hydrojax`."""
+"""Summaries and figures of a sweep's dataset: `data.hydrojax`."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import xarray as xr
@@ -43,7 +44,7 @@ def sentences(data: xr.Dataset) -> list[str]:
 
 
 def _axis(axis: xr.DataArray) -> tuple[str, ...]:
-    """Name, meaning, number of values, range, and where the rig stands."""
+    """Name, description, number of values, range, and the rig's value."""
     values, unit = axis.values, axis.attrs["units"]
     return (
         str(axis.name),
@@ -70,12 +71,52 @@ class Swept:
         from hydrojax.tune import maps, plots, selection
 
         self._check(quantity)
-        data = selection.spread(self.data)
+        data = selection.without_single_axes(self.data)
         if len(selection.axes_of(data)) > 1:
             return maps.map_figure(data, quantity)
         return plots.line_figure(data)
 
-    def _check(self, quantity: str) -> None:
+    def plot_bode(self, cells: Mapping[str, Mapping[str, int]] | None = None) -> Figure:
+        """Gain and phase of chosen cells by every method, with the plants' range.
+
+        Args:
+            cells: title, and index along each axis, such as
+                `{"low gain": {"k_p": 0, "k_f": 0}}`; if None, the cells of the rig's
+                own values, of the widest bandwidth, and next to instability.
+
+        Raises:
+            InputError: no sweep, no axis left of it, or an invalid axis or index.
+        """
+        from hydrojax.tune import plots, selection
+
+        self._check_whole()
+        names = selection.axes_of(self.data)
+        for title, at in (cells or {}).items():
+            if set(at) != set(names):
+                raise InputError(
+                    f"invalid cell {title!r}: expected an index for each of "
+                    f"{', '.join(names)}"
+                )
+            for name, index in at.items():
+                size = self.data.sizes[name]
+                if not -size <= index < size:
+                    raise InputError(
+                        f"invalid cell {title!r}: expected an index of {name} below "
+                        f"{size}, got {index}"
+                    )
+        chosen = {title: dict(at) for title, at in (cells or {}).items()}
+        return plots.bode_figure(self.data, chosen or None)
+
+    def summary(self) -> str:
+        """The cell with the widest bandwidth within 1 dB, a line for each method.
+
+        Raises:
+            InputError: no sweep, or no axis left of it.
+        """
+        self._check_whole()
+        return "\n".join((self.data.attrs["title"], *sentences(self.data)))
+
+    def _check_whole(self) -> None:
         from hydrojax.tune.selection import axes_of
 
         ways = self.data.attrs.get("methods", "").split()
@@ -87,6 +128,10 @@ class Swept:
             raise InputError(
                 "no axis of the sweep is left to draw over; keep at least one"
             )
+
+    def _check(self, quantity: str) -> None:
+        self._check_whole()
+        ways = self.data.attrs["methods"].split()
         known = sorted({
             str(name).removeprefix(f"{way}_")
             for way in ways

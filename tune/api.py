@@ -11,19 +11,20 @@ from jaxtyping import ArrayLike
 
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import ensure_jax
+from hydrojax.rigfile.quantities import Quantity
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import sweep as sweeps
 from hydrojax.tune.accessor import Swept as Swept  # so that `data.hydrojax` is known
 from hydrojax.tune.adaptation import tune_adaptation
 from hydrojax.tune.axes import make_axes
 from hydrojax.tune.comparison import compare_models, notes
-from hydrojax.tune.ensemble import SPREAD, ensemble
+from hydrojax.tune.ensemble import SPREAD, Plants, ensemble
 from hydrojax.tune.findings import Findings
-from hydrojax.tune.free import adaptable, default_free, gain
+from hydrojax.tune.free import adaptable, default_free, find_gain
 from hydrojax.tune.limiting import what_limits, with_valve
 from hydrojax.tune.objective import Limits, Objective
 from hydrojax.tune.optimize import find_gains
-from hydrojax.tune.plan import METHODS, Plan, prepare
+from hydrojax.tune.plan import METHODS, Plan, with_excitations
 from hydrojax.tune.result import Tuned
 from hydrojax.tune.setup import make_plants, open_rig, rig_file
 
@@ -77,7 +78,7 @@ def sweep(
         rig, axes, methods=methods, gains=gains, at=at, plants=plants, spread=spread,
         findings=findings, frozen=frozen,
     )  # fmt: skip
-    return sweeps.run(plan, None if out is None else Path(out), progress)
+    return sweeps.run_sweep(plan, None if out is None else Path(out), progress)
 
 
 def plan_sweep(
@@ -114,7 +115,7 @@ def plan_sweep(
         file.name,
         file.command_unit,
     )
-    return prepare(plan)
+    return with_excitations(plan)
 
 
 def tune_gains(
@@ -158,25 +159,36 @@ def tune_gains(
     file = rig_file(rig)
     found = Findings.load(findings) if findings else None
     setting, known = open_rig(file, None, at, free, found)
-    free = tuple(free) or default_free(setting)
-    chosen = [gain(known, name) for name in free]
+    names = tuple(free) or default_free(setting)
+    chosen = [find_gain(known, name) for name in names]
     drawn_from = found if found and found.fitted else None
     those = make_plants(setting, plants, spread, drawn_from) or ensemble(setting, 1)
     limits = limits or Limits()
     progress("compile the loop")
     objective = Objective(setting, chosen, with_valve(setting, those), limits)
+    rates = adaptable(known, setting) if adaptation else []
+    return _tuned(file, objective, those, found, rates, starts, progress)
+
+
+def _tuned(
+    file: RigFile, objective: Objective, plants: Plants, findings: Findings | None,
+    rates: list[Quantity], starts: int, progress: Callable[[str], None],
+) -> Tuned:  # fmt: skip
+    """The gains of an objective, and `rates` of the adaptation after them."""
+    chosen, setting = objective.free, objective.setting
     optimum, objective, dropped = find_gains(objective, starts, progress)
     after = objective.evaluate(optimum.gains)
     relaxed = what_limits(objective, optimum, progress)
     gains = dict(zip(chosen, map(float, optimum.gains), strict=True))
-    more = adaptable(known, setting) if adaptation else []
-    if more:
-        values, after["rms"] = tune_adaptation(objective, more, optimum.gains, progress)
-        gains |= dict(zip(more, map(float, values), strict=True))
+    if rates:
+        values, after["rms"] = tune_adaptation(
+            objective, rates, optimum.gains, progress
+        )
+        gains |= dict(zip(rates, map(float, values), strict=True))
     comparison = ()
-    if found and found.effects:
+    if findings and findings.effects:
         progress("compare with the old model")
-        comparison = compare_models(file, found, objective, optimum, those, after)
+        comparison = compare_models(file, findings, objective, optimum, plants, after)
     return Tuned(
         file,
         {q.name: value for q, value in gains.items()},
@@ -187,7 +199,7 @@ def tune_gains(
         np.asarray(objective.hertz),
         optimum,
         relaxed,
-        those.description,
+        plants.description,
         objective.limits,
         comparison,
         (*dropped, *notes(objective, after)),

@@ -30,7 +30,8 @@ class Axis:
 
 
 def make_axes(
-    axes: Mapping[str, ArrayLike | Sequence[str]], known: Mapping[str, Quantity]
+    axes: Mapping[str, ArrayLike | Sequence[float] | Sequence[str]],
+    known: Mapping[str, Quantity],
 ) -> list[Axis]:
     """The axes of a sweep.
 

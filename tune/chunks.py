@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Shaped
 
 from hydrojax.errors import InputError
 
-Arrays = Mapping[str, np.ndarray]
+Arrays = Mapping[str, Shaped[np.ndarray, "cells *rest"]]
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,10 @@ class Chunks:
         """Whether a chunk is done."""
         return self.folder is not None and self._path(tag, number).exists()
 
-    def read(self, tag: str, number: int) -> dict[str, np.ndarray] | None:
-        """A chunk that is done, [cells, ...] by name."""
+    def read(
+        self, tag: str, number: int
+    ) -> dict[str, Shaped[np.ndarray, "cells *rest"]] | None:
+        """A chunk that is done, by name."""
         if not self.has(tag, number):
             return None
         with np.load(self._path(tag, number)) as file:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Shaped
 
 from hydrojax import __version__, units
 from hydrojax.tune import measure, metrics
@@ -27,7 +28,9 @@ LIKELY = 0.05
 """What 95 % of the plants reach is this quantile."""
 
 
-def dataset(plan: Plan, found: Mapping[str, Mapping[str, np.ndarray]]) -> xr.Dataset:
+def dataset(
+    plan: Plan, found: Mapping[str, Mapping[str, Shaped[np.ndarray, "cells *rest"]]]
+) -> xr.Dataset:
     """All that was found: `linear_within_1dB`, `multisine_rms_error` and the like.
 
     With plants, a name ending in `_95` is what 95 % of them reach: an unstable one
@@ -62,13 +65,16 @@ def _add(
     dims: tuple[str, ...],
 ) -> None:  # fmt: skip
     is_linear = method == "linear"
-    wants, says = (
+    wants, descriptions = (
         (metrics.UNITS, metrics.DESCRIPTIONS)
         if is_linear
         else (measure.UNITS, measure.DESCRIPTIONS)
     )
     for name, unit in wants.items():
-        attrs = {"units": units.with_command(unit, plan.unit), "long_name": says[name]}
+        attrs = {
+            "units": units.with_command(unit, plan.unit),
+            "long_name": descriptions[name],
+        }
         table = values[name].reshape(plan.shape)
         data[f"{method}_{name}"] = (dims, table, attrs)
         if plan.plants and name in ("within_1dB", "minus_3dB", "lag_90"):

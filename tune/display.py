@@ -35,7 +35,7 @@ def show(value: Any, unit: str) -> str:
     return f"{value:.3g} {unit}".replace("-", "−")
 
 
-def table(t: Tuning) -> list[tuple[str, ...]]:
+def metrics_table(t: Tuning) -> list[tuple[str, ...]]:
     """Before and after, the rig's and the worst plant's."""
     out = []
     for title, name, unit, factor, worst in ROWS:
@@ -76,7 +76,7 @@ def summary(t: Tuning) -> str:
     parts = [
         f"{t.name}: {sentence(t)}",
         _columns(("gain", "before", "after", "unit"), gains),
-        _columns(heads, table(t)),
+        _columns(heads, metrics_table(t)),
         limit(t),
     ]
     return "\n\n".join((*parts, *t.notes))
@@ -175,7 +175,9 @@ def html(t: Tuning) -> str:
     return markup.block(
         markup.paragraph(sentence(t), f"{t.name}:"),
         markup.table(("gain", "before", "after", "unit"), gains),
-        markup.table(("", "before", "worst plant", "after", "worst plant"), table(t)),
+        markup.table(
+            ("", "before", "worst plant", "after", "worst plant"), metrics_table(t)
+        ),
         markup.paragraph(limit(t)),
         markup.table(("without", "within 1 dB, worst plant", ""), limits),
     )

@@ -8,18 +8,15 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.errors import InputError
-from hydrojax.parameters import get, parameter_specs
+from hydrojax.parameters import get, parameter_specs, specs
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune.findings import Findings
 
 SPREAD = 0.2
 """Half-width (relative) within which the parameters of an ensemble lie."""
 
-SPREAD_OVER = (
-    "beta", "c_p1", "c_n1", "c_p2", "c_n2",
-    "k_cp", "k_cn", "k_0", "k_vp", "k_vn", "k_fp", "k_fn",
-)  # fmt: skip
-"""Bulk modulus, valve constants and friction: what an ensemble varies."""
+FRICTION = ("k_cp", "k_cn", "k_0", "k_vp", "k_vn", "k_fp", "k_fn")
+"""Of the friction, what an ensemble varies, beside bulk modulus and valve constants."""
 
 
 @dataclass(frozen=True)
@@ -45,15 +42,17 @@ def ensemble(
     Args:
         setting: whose plant is the first.
         count: of all plants.
-        spread: relative half-width for every parameter of `SPREAD_OVER`.
+        spread: relative half-width for bulk modulus, valve constants, `FRICTION`.
         seed: of the draw.
     """
-    here = np.asarray(get(setting.loop.rig, SPREAD_OVER))
+    rig = setting.loop.rig
+    names = ("beta", *specs(rig.valve), *FRICTION)
+    here = np.asarray(get(rig, names))
     rng = np.random.default_rng([seed, 21])
     factor = 1 + spread * rng.uniform(-1, 1, (count, here.size))
     factor[0] = 1.0
     text = f"{count} plants, ±{100 * spread:g} % on β, valve constants and friction"
-    return Plants(SPREAD_OVER, here * factor, text)
+    return Plants(names, here * factor, text)
 
 
 def from_findings(

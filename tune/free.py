@@ -30,7 +30,7 @@ def default_free(setting: Setting) -> tuple[str, ...]:
     return (*FREE, "A_a") if moves else FREE
 
 
-def gain(known: Mapping[str, Quantity], name: str) -> Quantity:
+def find_gain(known: Mapping[str, Quantity], name: str) -> Quantity:
     """A quantity of the controller, by its name.
 
     Raises:

@@ -2,7 +2,7 @@
 
 The Jacobian of the loop's own step, from the desired force of one sample to the output
 force of the next: the hold, the delay's queue, the spool, filters and sensors are in
-it because they are in the step. Adaptation is frozen (`point.frozen`).
+it because they are in the step. Adaptation is frozen (`operating_point.frozen`).
 
 At rest three things have a corner: the valve's lands and the law's inverse of them at
 u = 0, and presliding at F = 0. The Jacobian is the mean of those on both sides, the
@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array
+from jaxtyping import Array, Complex, Float
 
 from hydrojax.control.base import AbstractController, Measured
 from hydrojax.control.loop import step
@@ -34,23 +34,27 @@ OUTPUTS = ("F", "u")
 """The output force itself (N) and the command with what was added to it."""
 
 NUDGE = 1e-6
-"""How far from a corner its sides are looked at: of u_max."""
+"""Distance from a corner at which its sides are evaluated, as a share of u_max."""
 
 
 class Tapped(AbstractController):
     """A controller to whose command something is added."""
 
     law: AbstractController
-    push: Array
-    u_max: Array
+    push: Float[Array, ""]
+    u_max: Float[Array, ""]
 
-    def init(self, measured: Measured, F_d: Array) -> Any:
+    def init(self, measured: Measured, F_d: Float[Array, ""]) -> Any:
         """As the controller's."""
         return self.law.init(measured, F_d)
 
     def step(
-        self, memory: Any, measured: Measured, F_d: Array, h: Array
-    ) -> tuple[Any, Array, dict[str, Array]]:
+        self,
+        memory: Any,
+        measured: Measured,
+        F_d: Float[Array, ""],
+        h: Float[Array, ""],
+    ) -> tuple[Any, Float[Array, ""], dict[str, Float[Array, ""]]]:
         """As the controller's, but for the command."""
         memory, u, signals = self.law.step(memory, measured, F_d, h)
         return memory, u + self.push, signals
@@ -59,15 +63,15 @@ class Tapped(AbstractController):
 class System(NamedTuple):
     """`s' = A s + B i`, `o = C s + D i` from sample to sample.
 
-    Shapes: `A` [n, n], `B` [n, 5], `C` [2, n], `D` [2, 5], of `INPUTS` and `OUTPUTS`;
-    `h` s.
+    The five inputs and two outputs are `INPUTS` and `OUTPUTS`; `h` s. Stacked systems
+    have leading axes.
     """
 
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    h: Array
+    A: Float[Array, "*batch n n"]
+    B: Float[Array, "*batch n 5"]
+    C: Float[Array, "*batch 2 n"]
+    D: Float[Array, "*batch 2 5"]
+    h: Float[Array, "*batch"]
 
 
 def _sides(setting: Setting, carry: Any) -> list[tuple[Any, Array]]:
@@ -128,8 +132,8 @@ def system(setting: Setting, carry: Any, states: States | None = None) -> System
 
     Args:
         setting: the loop and its point.
-        carry: the memory there, as `point.start` gives it.
-        states: which numbers of the memory matter, as `find_states` tells; all if
+        carry: the memory there, as `operating_point.initial_state` gives it.
+        states: which numbers of the memory matter, as `find_states` gives it; all if
             None.
     """
     sides = jax.tree.map(lambda *a: jnp.stack(a), *_sides(setting, carry))
@@ -143,10 +147,9 @@ def find_states(systems: System) -> States:
     Args:
         systems: full ones, stacked [m, ...], of settings that span those to come.
 
-    What no input reaches stays where it is; what reaches no output is nobody's
-    business: the queue beyond the delay, mean pressures, estimates. Of numbers that
-    always become the same, such as a reading without lag and what it reads, one will
-    do.
+    What no input reaches is constant; what reaches no output has no influence: the
+    queue beyond the delay, mean pressures, estimates. Of numbers that are always equal,
+    such as a reading without lag and the signal it reads, one is kept.
     """
     rows = np.concatenate([np.asarray(systems.A), np.asarray(systems.B)], axis=-1)
     A, B, C = (np.any(np.asarray(a) != 0, axis=0) for a in systems[:3])
@@ -170,8 +173,10 @@ def find_states(systems: System) -> States:
     return States(tuple(int(i) for i in at), tuple(group))
 
 
-def response(s: System, hertz: Array) -> Array:
-    """Frequency response, [len(hertz), 2, 5], complex."""
+def frequency_response(
+    s: System, hertz: Float[Array, "lines"]
+) -> Complex[Array, "lines 2 5"]:
+    """Frequency response from every input to every output."""
     n = s.A.shape[0]
     z = jnp.exp(2j * jnp.pi * hertz * s.h)
 
@@ -181,7 +186,7 @@ def response(s: System, hertz: Array) -> Array:
     return jax.vmap(one)(z)
 
 
-def radius(s: System) -> Array:
+def radius(s: System) -> Float[Array, ""]:
     """The largest |eigenvalue| but those of what stays put: below 1, it is stable.
 
     A mean pressure with the valve shut, or a free mass's place, stays put: an

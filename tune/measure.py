@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Complex, Float
 
 from hydrojax.control.loop import step
 from hydrojax.control.waveforms import band_noise
@@ -42,25 +42,25 @@ DESCRIPTIONS = {
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """A desired force of RMS 1, and how its answer is read.
+    """A desired force of RMS 1, and how the response to it is computed.
 
     Attributes:
         name: `multisine` or `noise`.
-        shape: [n], the force, without dimension.
-        noise: [n, 4], standard normal numbers for the sensors.
+        shape: the force, without dimension.
+        noise: standard normal numbers for the sensors.
         skip: samples that are not counted.
-        hertz: [lines], where the response is told.
-        weights: [lines, m], complex: what the samples after `skip` are multiplied
-            with (multisine), or None: Welch's segments, averaged around `hertz`.
+        hertz: frequencies of the response.
+        weights: what the samples after `skip` are multiplied with (multisine), or None:
+            Welch's segments, averaged around `hertz`.
         segment: samples in a segment of Welch's.
     """
 
     name: str
-    shape: np.ndarray
-    noise: np.ndarray
+    shape: Float[np.ndarray, "n"]
+    noise: Float[np.ndarray, "n 4"]
     skip: int
-    hertz: np.ndarray
-    weights: np.ndarray | None = None
+    hertz: Float[np.ndarray, "lines"]
+    weights: Complex[np.ndarray, "lines m"] | None = None
     segment: int = 0
 
 
@@ -114,15 +114,15 @@ def white_noise(
     return Excitation("noise", shape, noise, segment, hertz, None, segment)
 
 
-def simulate(
+def run_excited(
     setting: Setting, given: Excitation, frozen: bool = False, settle: int = 0
-) -> tuple[Array, Array]:
+) -> tuple[Float[Array, "n"], Float[Array, "n 4"]]:
     """Run the loop from its operating point.
 
     Returns:
-        F_d [n], N, and the signals `KEEP` [n, 4], SI.
+        F_d, N, and the signals `KEEP`, SI.
     """
-    carry = operating_point.start(setting, settle=settle)
+    carry = operating_point.initial_state(setting, settle=settle)
     loop = operating_point.frozen(setting.loop) if frozen else setting.loop
     n = given.shape.size
     t = jnp.arange(n) * loop.h
@@ -139,7 +139,7 @@ def simulate(
     return F_d, jax.lax.scan(body, carry, jnp.arange(n))[1]
 
 
-def segments(x: Array, size: int) -> Array:
+def segments(x: Float[Array, "n"], size: int) -> Complex[Array, "segments lines"]:
     """Half-overlapping segments without their mean under a Hann window, spectra."""
     count = (x.shape[0] - size) // (size // 2) + 1
     at = np.arange(count)[:, None] * (size // 2) + np.arange(size)
@@ -148,13 +148,15 @@ def segments(x: Array, size: int) -> Array:
     return jnp.fft.rfft(window * (cut - jnp.mean(cut, axis=1, keepdims=True)))
 
 
-def response(given: Excitation, F_d: Array, F: Array) -> tuple[Array, Array]:
-    """F/F_d at the excitation's frequencies, complex, and its coherence, [lines]."""
-    asked, came = F_d[given.skip :], F[given.skip :]
+def estimate_response(
+    given: Excitation, F_d: Float[Array, "n"], F: Float[Array, "n"]
+) -> tuple[Complex[Array, "lines"], Float[Array, "lines"]]:
+    """F/F_d at the excitation's frequencies, and its coherence."""
+    desired, actual = F_d[given.skip :], F[given.skip :]
     if given.weights is not None:
         W = jnp.asarray(given.weights)
-        return (W @ came) / (W @ asked), jnp.ones(given.hertz.size)
-    X, Y = segments(asked, given.segment), segments(came, given.segment)
+        return (W @ actual) / (W @ desired), jnp.ones(given.hertz.size)
+    X, Y = segments(desired, given.segment), segments(actual, given.segment)
     cross = jnp.sum(jnp.conj(X) * Y, axis=0)
     own, other = jnp.sum(jnp.abs(X) ** 2, axis=0), jnp.sum(jnp.abs(Y) ** 2, axis=0)
     pool = jnp.asarray(_pool(given, cross.shape[0]))
@@ -163,7 +165,7 @@ def response(given: Excitation, F_d: Array, F: Array) -> tuple[Array, Array]:
 
 
 def _pool(given: Excitation, count: int) -> np.ndarray:
-    """Which of Welch's frequencies stand for each that is told, [lines, count]."""
+    """Which of Welch's frequencies are averaged for each of `hertz`, [lines, count]."""
     step = given.hertz[0]
     middle = np.round(given.hertz / step).astype(int)
     edges = np.concatenate([[middle[0] - 0.5], (middle[1:] + middle[:-1]) / 2,
@@ -180,10 +182,10 @@ def measure(
 
     NaN where the run diverged.
     """
-    F_d, table = simulate(setting, given, frozen, settle)
+    F_d, table = run_excited(setting, given, frozen, settle)
     late = table[given.skip :]
     F, u, P_1, P_2 = late.T
-    H, coherence = response(given, F_d, table[:, 0])
+    H, coherence = estimate_response(given, F_d, table[:, 0])
     hertz = jnp.asarray(given.hertz)
     loop = setting.loop
     shut = [loop.rig.force_area_1 > 0, loop.rig.force_area_2 > 0]
@@ -192,7 +194,7 @@ def measure(
         for s, P in zip(shut, (P_1, P_2), strict=True)
     ]
     found = {
-        "within_1dB": metrics.within(hertz, H),
+        "within_1dB": metrics.band_within(hertz, H),
         "minus_3dB": metrics.first(hertz, metrics.dB(H) + 3.0),
         "lag_90": metrics.first(hertz, metrics.unwrapped(H) + jnp.pi / 2),
         "peak": jnp.max(metrics.dB(H)),

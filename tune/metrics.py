@@ -61,7 +61,7 @@ def first(
     return jnp.where(jnp.any(out), found, hertz[-1])
 
 
-def within(
+def band_within(
     hertz: Float[Array, "lines"], H: Complex[Array, "lines"], most: float = 1.0
 ) -> Float[Array, ""]:
     """The highest frequency up to which |H| stays within `most` dB, Hz.
@@ -130,14 +130,14 @@ def loop_metrics(
     H: Complex[Array, "lines 2 5"],
     radius: Float[Array, ""],
 ) -> dict[str, Float[Array, ""]]:
-    """All of `UNITS`, of a response as `linearize.response` gives it.
+    """All of `UNITS`, of a response as `linearize.frequency_response` gives it.
 
     An unstable loop has no bandwidth: all are NaN, except its radius.
     """
     track, push = H[:, 0, 0], H[:, 1, 0]
     L = 1 / H[:, 1, 1] - 1  # what is added to the command comes out as 1 / (1 + L)
     gain, phase, delay = margins(hertz, L)
-    edge = within(hertz, track)
+    edge = band_within(hertz, track)
     noise = [
         jnp.sqrt(sum(rms(hertz, H[:, o, i]) ** 2 for i in (2, 3, 4))) for o in (0, 1)
     ]
@@ -157,7 +157,7 @@ def loop_metrics(
     return found | {"radius": radius}
 
 
-def number(value: Any) -> Any:
+def finite_or_none(value: Any) -> Any:
     """A finite number, or None."""
     return float(value) if np.isfinite(value) else None
 
@@ -169,7 +169,7 @@ def minimum(values: Float[np.ndarray, "plants"]) -> float:
 
 def maximum(values: Float[np.ndarray, "plants"]) -> float | None:
     """The largest value; None if a plant is unstable."""
-    return number(np.max(values))
+    return finite_or_none(np.max(values))
 
 
 SUMMARY = {"within_1dB": "within_1dB_Hz", "peak": "peak_dB", "rms": "rms_N"}
@@ -180,7 +180,7 @@ def rig_metrics(
     found: Mapping[str, Float[np.ndarray, "plants *rest"]],
 ) -> dict[str, float | None]:
     """The metrics of the rig itself by tune.json's names; None where it is unstable."""
-    return {name: number(found[key][0]) for key, name in SUMMARY.items()}
+    return {name: finite_or_none(found[key][0]) for key, name in SUMMARY.items()}
 
 
 def worst_metrics(

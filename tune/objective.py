@@ -170,7 +170,12 @@ class Objective:
         out.free = free
         return out
 
-    def compiled_run(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+    def compiled_run(
+        self,
+    ) -> tuple[
+        Callable[[Float[Array, "gains"]], Float[Array, "plants"]],
+        Callable[[Float[Array, "gains"]], Float[Array, "plants gains"]],
+    ]:
         """`run` as a compiled function, and its derivative by each gain."""
         given = self._given()
         run, slope = jax.jit(self._tracking), jax.jit(jax.jacfwd(self._tracking))
@@ -217,11 +222,13 @@ class Objective:
         return s
 
     def _system(self, s: Setting, states: linearize.States | None) -> linearize.System:
-        return linearize.system(s, operating_point.start(s, settle=self.settle), states)
+        return linearize.system(
+            s, operating_point.initial_state(s, settle=self.settle), states
+        )
 
     def _answer(self, s: Setting) -> tuple[Array, linearize.System]:
         system = self._system(s, self.states)
-        return linearize.response(system, self.hertz), system
+        return linearize.frequency_response(system, self.hertz), system
 
     def _all(self, gains: Array | None, given: _Given) -> dict[str, Array]:
         def one(plant):

@@ -1,15 +1,15 @@
-"""Where a loop is looked at: its operating point, with the adaptation stopped there.
+"""The operating point of a loop, with the adaptation stopped there.
 
 At rest the point is the force F_0 on the output, the valve shut. Where the piston is
 moved at a constant speed, a load has to settle, or a leak asks for flow, it is where a
-slow loop that has brought the force to F_0 stands after `SETTLE` seconds, at `x`: the
+slow loop that has brought the force to F_0 is after `SETTLE` seconds, at `x`: the
 place goes on changing from there, so the point holds for motions that are short beside
 the chambers. The slow loop has gains of its own, so that the point is the same for all
 gains, those of an unstable loop too. A law without integral action that has a leak to
 feed runs at a force of its own instead: there what is measured is beside this point.
 
-The estimates that are adapted stand at the plant's own values, or at the bound next to
-them (`adapted`), or where the law starts them, midway between their bounds.
+The estimates that are adapted are the plant's own values, or the bound next to them
+(`adapted`), or where the law starts them, midway between their bounds.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float, Int
 
 from hydrojax.control.adaptive import Law, truth
 from hydrojax.control.base import clamp
@@ -38,14 +38,14 @@ DRIFT = 1.0
 
 LEVEL = 10.0
 """Rate (1/s) at which the settling loop brings the force itself to F_0: leakage or a
-bias would leave it somewhere else, and the gains would say where."""
+bias would leave it elsewhere, at a force that depends on the gains."""
 
 SLOW = 60.0
 """Bandwidth (rad/s) of the loop that settles."""
 
 
 def estimates(loop: Loop, adapted: bool = True) -> Estimates:
-    """Where the nine estimates of the paper's law stand, SI."""
+    """The nine estimates of the paper's law at the operating point, SI."""
     law = _adaptive(loop)
 
     def one(true, lower, upper, rate):
@@ -65,14 +65,19 @@ def frozen(loop: Loop) -> Loop:
     return eqx.tree_at(lambda lo: lo.law.rate, loop, zero)
 
 
-def scenario(setting: Setting, F_d: Array, noise: Array, t: Array) -> Scenario:
-    """A course at the setting's speed and supply that is at `x` at t = 0.
+def scenario(
+    setting: Setting,
+    F_d: Float[Array, "n"],
+    noise: Float[Array, "n 4"],
+    t: Float[Array, "n"],
+) -> Scenario:
+    """A scenario at the setting's speed and supply that is at `x` at t = 0.
 
     Args:
         setting: the loop and its point.
-        F_d: desired force, [n], N.
-        noise: [n, 4], standard normal numbers.
-        t: [n], s; a constant supply and speed, so any times will do.
+        F_d: desired force, N.
+        noise: standard normal numbers.
+        t: s; supply and speed are constant, so any times are possible.
     """
     h = setting.loop.h
     halves = t[:, None, None] + h / PARTS * (
@@ -87,16 +92,16 @@ def scenario(setting: Setting, F_d: Array, noise: Array, t: Array) -> Scenario:
     return Scenario(t, F_d, noise, P_s, P_r, environment)
 
 
-def at(given: Scenario, k: int | Array) -> Scenario:
-    """One row of a course."""
+def at(given: Scenario, k: int | Int[Array, ""]) -> Scenario:
+    """One row of a scenario."""
     return jax.tree.map(lambda a: a[k], given)
 
 
 def still(settings: Setting) -> bool:
     """Whether the points of some settings, stacked [m, ...], need no settling.
 
-    At rest they need none if nothing moves from where `start` puts it: leakage, a
-    valve's bias or an estimate that is off make it move.
+    At rest they need none if nothing moves from where `initial_state` puts it:
+    leakage, a valve's bias or an estimate that is off make it move.
     """
     if bool(jnp.any(settings.v != 0)):
         return False
@@ -104,7 +109,7 @@ def still(settings: Setting) -> bool:
         return False
 
     def drift(s: Setting) -> Array:
-        carry = start(s)
+        carry = initial_state(s)
         one = scenario(s, s.F_0[None], jnp.zeros((1, 4)), jnp.zeros(1))
         after = step(_slow(s.loop), carry, at(one, 0))[0]
         off = [b - a for a, b in zip(carry.plant.P, after.plant.P, strict=True)]
@@ -131,12 +136,12 @@ def _adaptive(loop: Loop) -> Law:
     return loop.law
 
 
-def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
-    """What the loop remembers at its operating point.
+def initial_state(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
+    """The state of a loop at its operating point.
 
     Args:
         setting: the loop and its point.
-        adapted: whether the adapted estimates stand at the plant's values.
+        adapted: whether the adapted estimates are the plant's values.
         settle: samples in which a slow loop settles; 0 at rest, see `still`.
     """
     n = max(settle, 1)
@@ -151,27 +156,27 @@ def start(setting: Setting, adapted: bool = True, settle: int = 0) -> Any:
     carry = carry._replace(plant=plant)
     if not isinstance(setting.loop.law, Law):
         return _settled(setting, carry, given) if settle else carry
-    believed = estimates(setting.loop, adapted)
-    memory = _matched(setting, carry.law, believed, given.F_d[0])
+    held = estimates(setting.loop, adapted)
+    memory = _matched(setting, carry.law, held, given.F_d[0])
     memory = memory._replace(v=setting.v, speed=jnp.abs(setting.v))
     carry = carry._replace(law=memory)
     if not settle:
         return carry
     carry = _settled(setting, carry, given)
-    memory = _matched(setting, carry.law, believed, setting.F_0)
+    memory = _matched(setting, carry.law, held, setting.F_0)
     return carry._replace(law=memory._replace(P_d_rate=jnp.zeros_like(memory.P_d)))
 
 
-def _matched(setting: Setting, memory: Any, believed: Estimates, F_d: Array) -> Any:
+def _matched(setting: Setting, memory: Any, held: Estimates, F_d: Array) -> Any:
     """The law's memory with other estimates, and the P_d that they make."""
-    P_d = _adaptive(setting.loop).desired(
-        believed, memory.z, memory.v, memory.speed, F_d
-    )[0]
-    return memory._replace(estimates=believed, P_d=P_d)
+    P_d = _adaptive(setting.loop).desired(held, memory.z, memory.v, memory.speed, F_d)[
+        0
+    ]
+    return memory._replace(estimates=held, P_d=P_d)
 
 
 def _settled(setting: Setting, carry: Any, given: Scenario) -> Any:
-    """Where the slow loop stands after the samples of `given`."""
+    """The state of the slow loop after the samples of `given`."""
     loop = _slow(setting.loop)
 
     def body(state, tick):

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 from scipy import optimize
 
 from hydrojax.control.adaptive import Law
@@ -30,7 +31,7 @@ class Optimum:
         starts: bandwidth (Hz) that each start came to, NaN where it broke something.
     """
 
-    gains: np.ndarray
+    gains: Float[np.ndarray, "gains"]
     log_band: float
     slack: dict[str, float]
     starts: tuple[float, ...]
@@ -46,7 +47,7 @@ def optimize_gains(
     starts: int = 4,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
-    begin: np.ndarray | None = None,
+    begin: Float[np.ndarray, "gains"] | None = None,
 ) -> Optimum:
     """The widest loop that keeps all limits.
 
@@ -109,7 +110,7 @@ def _descend(objective: Objective, here: np.ndarray, x: np.ndarray) -> Optimum:
         if key not in seen:
             gains = here * np.exp(y)
             value, slope, sound = objective.scores(gains)
-            if not sound:  # beyond the edge: nothing there is worth going to
+            if not sound:  # unstable: keep the search away
                 value, slope = np.full(value.size, -10.0), np.zeros(slope.shape)
             seen[key] = value, slope * gains
         return seen[key]

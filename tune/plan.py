@@ -23,9 +23,15 @@ MEMORY = 256e6
 """Bytes that a chunk's signals may take."""
 
 MADE_BY = (
-    linearize.system, linearize.response, linearize.radius, metrics.loop_metrics,
-    measure.measure, measure.multisine, measure.white_noise, operating_point.still,
-)  # fmt: skip
+    linearize.system,
+    linearize.frequency_response,
+    linearize.radius,
+    metrics.loop_metrics,
+    measure.measure,
+    measure.multisine,
+    measure.white_noise,
+    operating_point.still,
+)
 """The functions that make a sweep's figures: their code is part of its key."""
 
 
@@ -106,7 +112,7 @@ def tag_of(plan: Plan, method: str) -> str:
     return f"{method}-{size}-{seen.hexdigest()[:8]}"
 
 
-def prepare(plan: Plan) -> Plan:
+def with_excitations(plan: Plan) -> Plan:
     """The plan with its excitations, checked.
 
     Raises:

@@ -14,7 +14,7 @@ from hydrojax.tune.selection import (
     methods_of,
     near_rig,
     nominal,
-    spread,
+    without_single_axes,
 )
 
 COLOURS = {"linear": "#1f4e9c", "multisine": "#b2382e", "noise": "#3d7a45"}
@@ -91,10 +91,10 @@ def bode_figure(
     return fig
 
 
-def figures(data: xr.Dataset) -> dict[str, Figure]:
+def sweep_figures(data: xr.Dataset) -> dict[str, Figure]:
     """What a sweep shows, by the name of its file."""
     out: dict[str, Figure] = {}
-    data = spread(data)
+    data = without_single_axes(data)
     if len(axes_of(data)) == 1:
         out["lines"] = line_figure(data)
     else:

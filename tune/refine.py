@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -60,7 +62,7 @@ def _errors(
     return over(theta, scenarios)
 
 
-def tracking(
+def tracking_errors(
     loop: Loop, plants: Plants, scenarios: Scenario
 ) -> Float[np.ndarray, "plants scenarios"]:
     """Tracking error of every plant in every scenario, RMS, N.
@@ -103,18 +105,8 @@ def refine(
     """
     low, high = np.array(limits, float).T
     scale = np.maximum(np.maximum(np.abs(lower), np.abs(upper)), 1e-12)
-    theta = jnp.asarray(plants.values)
-
-    def bounds(at):
-        middle, half = at[: scale.size] * scale, at[scale.size :] * scale
-        return jnp.clip(middle - half, low, high), jnp.clip(middle + half, low, high)
-
-    def cost(at):
-        held = with_bounds(loop, plants.names, *bounds(at))
-        return jnp.mean(_errors(held, plants.names, theta, scenarios) ** 2)
-
-    # Forward mode: some dozen directions, and no run of thousands of steps to store.
-    both = jax.jit(lambda at: (cost(at), jax.jacfwd(cost)(at)))
+    bounds = partial(_bounds, scale=scale, low=low, high=high)
+    both = _cost_and_slope(loop, plants, scenarios, bounds)
     start = np.concatenate([(lower + upper) / 2 / scale, (upper - lower) / 2 / scale])
     start[scale.size :] = np.maximum(start[scale.size :], FLOOR)
 
@@ -140,3 +132,26 @@ def refine(
     )
     ends = bounds(jnp.asarray(found.x))
     return np.asarray(ends[0]), np.asarray(ends[1])
+
+
+def _bounds(
+    at: Float[Array, "twice_n"], scale: Float[np.ndarray, "n"],
+    low: Float[np.ndarray, "n"], high: Float[np.ndarray, "n"],
+) -> tuple[Float[Array, "n"], Float[Array, "n"]]:  # fmt: skip
+    """Both bounds from their middles and half-widths, which are in units of `scale`."""
+    middle, half = at[: scale.size] * scale, at[scale.size :] * scale
+    return jnp.clip(middle - half, low, high), jnp.clip(middle + half, low, high)
+
+
+def _cost_and_slope(
+    loop: Loop, plants: Plants, scenarios: Scenario, bounds: Callable[..., Any]
+) -> Callable[..., Any]:
+    """The mean squared error as a compiled function, with its gradient."""
+    theta = jnp.asarray(plants.values)
+
+    def cost(at):
+        held = with_bounds(loop, plants.names, *bounds(at))
+        return jnp.mean(_errors(held, plants.names, theta, scenarios) ** 2)
+
+    # Forward mode: some dozen directions, and no run of thousands of steps to store.
+    return jax.jit(lambda at: (cost(at), jax.jacfwd(cost)(at)))

@@ -15,14 +15,14 @@ from hydrojax.tune.display import (
     ends,
     limit,
     limits_figure,
+    metrics_table,
     sentence,
     show,
-    table,
 )
 from hydrojax.tune.tuning import Tuning
 
 
-def pictures(t: Tuning) -> dict[str, tuple[Figure, str, str]]:
+def tuning_pictures(t: Tuning) -> dict[str, tuple[Figure, str, str]]:
     """Figures with their alternative text and caption, by the name of their file."""
     out = {
         "tune_bode": (
@@ -42,7 +42,7 @@ def pictures(t: Tuning) -> dict[str, tuple[Figure, str, str]]:
 def write(t: Tuning, out: Path) -> None:
     """Write tune.json, rig.toml, the pictures and report.html into a folder."""
     shown = []
-    for name, (figure, alt, caption) in pictures(t).items():
+    for name, (figure, alt, caption) in tuning_pictures(t).items():
         store = io.BytesIO()
         figure.savefig(store, format="png", dpi=110)
         shown.append(page.Picture(name, store.getvalue(), alt, caption))
@@ -54,7 +54,7 @@ def write(t: Tuning, out: Path) -> None:
         Path(__file__).parent / "report.html",
         (show,),
         t=t,
-        rows=table(t),
+        rows=metrics_table(t),
         pictures=shown,
         sentence=sentence(t),
         limit=limit(t),

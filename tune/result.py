@@ -7,6 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from hydrojax.errors import InputError
 from hydrojax.tune import display, report
 from hydrojax.tune.metrics import minimum
 from hydrojax.tune.tuning import Tuning
@@ -20,9 +21,26 @@ class Tuned(Tuning):
         """Gains, metrics before and after, and what limits the loop, as text."""
         return display.summary(self)
 
-    def plot(self) -> Figure:
-        """Gain and phase before and after, with the ensemble's range."""
-        return display.bode_figure(self)
+    def plot(self, picture: str = "bode") -> Figure:
+        """A figure of the tuning.
+
+        Args:
+            picture: `bode`: gain and phase before and after, with the ensemble's range;
+                `limits`: the bandwidth with each limit taken away.
+
+        Raises:
+            InputError: no such picture, or no limit was examined.
+        """
+        figures = {"bode": display.bode_figure, "limits": display.limits_figure}
+        if picture not in figures:
+            raise InputError(
+                f"invalid picture {picture!r}: expected one of {', '.join(figures)}"
+            )
+        if picture == "limits" and not self.relaxed:
+            raise InputError(
+                "invalid picture 'limits': no limit was examined; expected bode"
+            )
+        return figures[picture](self)
 
     def save(self, folder: str | Path) -> None:
         """Write tune.json, rig.toml, pictures and report.html into a folder."""

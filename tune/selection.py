@@ -32,7 +32,7 @@ def near_rig(data: xr.Dataset, keep: list[str]) -> xr.Dataset:
     return data
 
 
-def spread(data: xr.Dataset) -> xr.Dataset:
+def without_single_axes(data: xr.Dataset) -> xr.Dataset:
     """Without the axes of one value, which are no axes of a picture; one stays."""
     names = axes_of(data)
     return near_rig(data, [n for n in names if data.sizes[n] > 1] or names[:1])

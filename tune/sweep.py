@@ -44,7 +44,7 @@ class _Work:
         full = program(
             jax.vmap(
                 lambda s: linearize.system(
-                    s, operating_point.start(s, settle=self.settle)
+                    s, operating_point.initial_state(s, settle=self.settle)
                 )
             )
         )
@@ -54,9 +54,9 @@ class _Work:
         def one(row):
             s = self.plan.at(row)
             system = linearize.system(
-                s, operating_point.start(s, settle=self.settle), states
+                s, operating_point.initial_state(s, settle=self.settle), states
             )
-            H = linearize.response(system, hertz)
+            H = linearize.frequency_response(system, hertz)
             found = metrics.loop_metrics(hertz, H, linearize.radius(system))
             return found | {"response": H[:, 0, 0]}
 
@@ -107,13 +107,13 @@ def _corners(rows: np.ndarray, most: int = 24) -> np.ndarray:
     return rows[chosen[:most]]
 
 
-def run(
+def run_sweep(
     plan: Plan, folder: Path | None = None, progress: Progress | None = None
 ) -> xr.Dataset:
     """Sweep, or go on with a sweep, or find it done.
 
     Args:
-        plan: as `prepare` gives it.
+        plan: as `with_excitations` gives it.
         folder: where chunks are kept and `sweep.nc` is written; None keeps nothing.
         progress: called with the cells done and their total number.
 
@@ -185,7 +185,7 @@ def chunk_worker(plan: Plan, folder: Path) -> Callable[[str, int], None]:
     """What works out one chunk and keeps it, for workers that share a sweep out.
 
     Args:
-        plan: as `prepare` gives it.
+        plan: as `with_excitations` gives it.
         folder: of the sweep, the same for all workers.
     """
     work, chunks = _Work(plan), _chunks_of(plan, folder)

@@ -73,7 +73,7 @@ class Tuning:
             else:
                 keys[name.removesuffix("_hat")] = written
         text = edit.rewrite(self.file, {}, controller=keys)
-        return RigFile.from_text(text, self.file.path)
+        return self.file.with_text(text)
 
     def to_frame(self) -> pd.DataFrame:
         """The gains: a row each, with columns `before`, `after` and `unit`."""

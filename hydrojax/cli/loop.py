@@ -169,17 +169,16 @@ def bounds(
 
     from hydrojax.identify.case import open_case
     from hydrojax.identify.report.figures import png
-    from hydrojax.workflows import friction_bounds
+    from hydrojax.workflows.bounds_report import bounds_figure, content
+    from hydrojax.workflows.friction_bounds import friction_bounds
 
     with show_progress() as progress:
         case = open_case(rig, logs, validate or ())
-        found = friction_bounds.friction_bounds(case, confidence, stretch, progress)
-        figure = friction_bounds.bounds_figure(found)
+        found = friction_bounds(case, confidence, stretch, progress)
+        figure = bounds_figure(found)
     files = {
         "rig.toml": found.rig_file.encode(),
-        "bounds.json": (
-            json.dumps(friction_bounds.json_of(found), indent=1) + "\n"
-        ).encode(),
+        "bounds.json": (json.dumps(content(found), indent=1) + "\n").encode(),
         "bounds.png": png(figure),
     }
     write_all(out, files)

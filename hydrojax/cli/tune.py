@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -26,41 +26,87 @@ from hydrojax.cli.words import read_axes, read_gains, read_point
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 
+if TYPE_CHECKING:
+    from hydrojax.tune.result import Tuned
+
+
+Over = Annotated[
+    list[str],
+    typer.Option(
+        help="An axis, 1 to 4: k_p=0.2:4:48, load.mass=50 kg:300 kg:16, "
+        "beta=5e8:1e9:9:log, v=0,0.01,0.02. All words that follow."
+    ),
+]
+By = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="linear, multisine or noise: all words that follow.",
+        show_default="linear",
+    ),
+]
+Ensemble = Annotated[
+    int, typer.Option(help="Number of plants, the rig among them.", min=1)
+]
+Spread = Annotated[
+    float, typer.Option(help="Relative half-width of the ensemble.", min=0.0)
+]
+From = Annotated[
+    Path | None,
+    typer.Option(
+        "--from", help="Folder of identify or trace: the ensemble is drawn from it."
+    ),
+]
+Frozen = Annotated[
+    bool, typer.Option("--frozen", help="Measure with the adaptation frozen.")
+]
+Source = Annotated[
+    Path,
+    typer.Argument(
+        help="Rig file, or the folder of a trace or identify.", show_default=False
+    ),
+]
+SourceRig = Annotated[
+    Path | None, typer.Option(help="Rig file of a folder that holds none.")
+]
+Free = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="What is tuned: k_p, k_f, k_1, tau_d …: all words that follow.",
+        show_default="k_p k_f k_1, and A_a where a load moves",
+    ),
+]
+Adaptation = Annotated[
+    bool,
+    typer.Option(
+        "--adaptation", help="Tune the rates and bounds of the adaptation too."
+    ),
+]
+Peak = Annotated[float, typer.Option(help="Largest resonance, dB.", min=0.1)]
+Margin = Annotated[
+    float, typer.Option(help="Largest sensitivity at the command, dB.", min=1.0)
+]
+Noise = Annotated[
+    float,
+    typer.Option(help="Command due to noise, RMS, as a share of its range.", min=1e-6),
+]
+Tracking = Annotated[
+    float,
+    typer.Option(help="Tracking error, joint moving, relative to before.", min=0.1),
+]
+Starts = Annotated[int, typer.Option(help="Number of descents.", min=1)]
+
 
 @app.command()
 def sweep(
     rig: RigPath,
-    over: Annotated[
-        list[str],
-        typer.Option(
-            help="An axis, 1 to 4: k_p=0.2:4:48, load.mass=50 kg:300 kg:16, "
-            "beta=5e8:1e9:9:log, v=0,0.01,0.02. All words that follow."
-        ),
-    ],
-    by: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="linear, multisine or noise: all words that follow.",
-            show_default="linear",
-        ),
-    ] = None,
+    over: Over,
+    by: By = None,
     gains: Gains = None,
     at: At = None,
-    ensemble: Annotated[
-        int, typer.Option(help="Plants to sweep over, the rig among them.", min=1)
-    ] = 1,
-    spread: Annotated[
-        float, typer.Option(help="Relative half-width of the ensemble.", min=0.0)
-    ] = 0.2,
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            "--from", help="Folder of identify or trace: the ensemble is drawn from it."
-        ),
-    ] = None,
-    frozen: Annotated[
-        bool, typer.Option("--frozen", help="Measure with the adaptation frozen.")
-    ] = False,
+    ensemble: Ensemble = 1,
+    spread: Spread = 0.2,
+    report: From = None,
+    frozen: Frozen = False,
     effects: Effects = None,
     cluster: Cluster = "",
     out: Out = Path("hydrojax-sweep"),
@@ -94,7 +140,7 @@ def sweep(
 
             share_sweep(file, arguments, effects or (), out, cluster, progress)
         data = api.sweep(file, **arguments, out=out, progress=progress)
-    for name, figure in plots.figures(data).items():
+    for name, figure in plots.sweep_figures(data).items():
         figure.savefig(out / f"{name}.png", dpi=120)
     for line in sentences(data):
         console.print(line)
@@ -103,51 +149,18 @@ def sweep(
 
 @app.command()
 def tune(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            help="Rig file, or the folder of a trace or identify.", show_default=False
-        ),
-    ],
-    rig: Annotated[
-        Path | None,
-        typer.Option(help="Rig file of a folder that holds none."),
-    ] = None,
-    free: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="What is tuned: k_p, k_f, k_1, tau_d …: all words that follow.",
-            show_default="k_p k_f k_1, and A_a where a load moves",
-        ),
-    ] = None,
+    source: Source,
+    rig: SourceRig = None,
+    free: Free = None,
     at: At = None,
-    adaptation: Annotated[
-        bool,
-        typer.Option(
-            "--adaptation", help="Tune the rates and bounds of the adaptation too."
-        ),
-    ] = False,
-    ensemble: Annotated[
-        int, typer.Option(help="Plants to tune for, the rig among them.", min=1)
-    ] = 8,
-    spread: Annotated[
-        float, typer.Option(help="Relative half-width of the ensemble.", min=0.0)
-    ] = 0.2,
-    peak: Annotated[float, typer.Option(help="Largest resonance, dB.", min=0.1)] = 3.0,
-    margin: Annotated[
-        float, typer.Option(help="Largest sensitivity at the command, dB.", min=1.0)
-    ] = 6.0,
-    noise: Annotated[
-        float,
-        typer.Option(
-            help="Command due to noise, RMS, as a share of its range.", min=1e-6
-        ),
-    ] = 0.01,
-    tracking: Annotated[
-        float,
-        typer.Option(help="Tracking error, joint moving, relative to before.", min=0.1),
-    ] = 3.0,
-    starts: Annotated[int, typer.Option(help="Number of descents.", min=1)] = 3,
+    adaptation: Adaptation = False,
+    ensemble: Ensemble = 8,
+    spread: Spread = 0.2,
+    peak: Peak = 3.0,
+    margin: Margin = 6.0,
+    noise: Noise = 0.01,
+    tracking: Tracking = 3.0,
+    starts: Starts = 3,
     effects: Effects = None,
     out: Out = Path("hydrojax-tune"),
 ) -> None:
@@ -155,7 +168,7 @@ def tune(
     check_out(out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
-    from hydrojax.tune import api, display
+    from hydrojax.tune import api
     from hydrojax.tune.objective import Limits
 
     limits = Limits(peak_dB=peak, sensitivity_dB=margin, noise=noise, tracking=tracking)
@@ -175,6 +188,14 @@ def tune(
         )
         progress("draw")
         tuned.save(out)
+    _print(tuned)
+    console.print(f"tune.json, rig.toml and report.html in {out}")
+
+
+def _print(tuned: Tuned) -> None:
+    """The gains before and after, what they give, and what limits them."""
+    from hydrojax.tune import display
+
     console.print(display.sentence(tuned))
     table = Table("gain", "before", "after", "unit")
     for name, value in tuned.gains.items():
@@ -185,7 +206,6 @@ def tune(
     console.print(display.limit(tuned))
     for line in tuned.notes:
         console.print(f"- {line}")
-    console.print(f"tune.json, rig.toml and report.html in {out}")
 
 
 def _rig_of(folder: Path, rig: Path | None) -> Path:

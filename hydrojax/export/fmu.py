@@ -39,8 +39,14 @@ def fmu_of(spec: RigFile) -> bytes:
     user's own that it declares.
 
     Raises:
-        InputError: PythonFMU is not installed, or the rig cannot be run.
+        InputError: PythonFMU is not installed, the rig cannot be run, or its valve is
+            a user's own, which the resources cannot hold.
     """
+    if spec.valve is not None:
+        raise InputError(
+            f"{spec.path}: an FMU cannot hold the valve {type(spec.valve).__name__}; "
+            "expected a rig file's own"
+        )
     try:
         from pythonfmu.builder import FmuBuilder
     except ImportError as err:

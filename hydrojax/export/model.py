@@ -21,7 +21,6 @@ from hydrojax.plant.places import hydraulic_names
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.vocabulary import BASE
 
 Names = Mapping[str, tuple[str, str]]
 """Variables by name: the SI unit, and what each is."""
@@ -76,7 +75,7 @@ class Model:
         self.rig, self.period, P_a1 = _at_rest(spec)
         self.queue = has_queue(self.rig)
 
-        known = _parameters(self.rig, self.valve)
+        known = _parameters(self.rig, spec)
         self.inputs, self.outputs = _shown(INPUTS, spec), _shown(OUTPUTS, spec)
         self.starts, self.parameters = _shown(STARTS, spec), _shown(known, spec)
         self.drive = dict.fromkeys(INPUTS, 0.0) | spec.line
@@ -156,8 +155,12 @@ def _at_rest(spec: RigFile) -> tuple[Rig, float, float]:
     return loop.rig, float(loop.h), float(loop.P_start)
 
 
-def _parameters(rig: Rig, valve: bool) -> Names:
+def _parameters(rig: Rig, spec: RigFile) -> Names:
     """The rig's parameters; without a valve, those of friction and effects."""
-    drop = frozenset() if valve else hydraulic_names(rig) & set(BASE)
+    drop = (
+        frozenset()
+        if spec.layout.has_valve
+        else hydraulic_names(rig) & spec.base.keys()
+    )
     known = parameter_specs(rig).items()
     return {name: (s.unit, meaning(s)) for name, s in known if name not in drop}

@@ -31,7 +31,7 @@ from hydrojax.rigfile.controller import (
 )
 from hydrojax.rigfile.entries import Entry
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.vocabulary import BASE, GEOMETRY, LOAD
+from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD
 
 FORMAT = "hydrojax-rig/1"
 
@@ -134,7 +134,7 @@ def _given(values: dict[str, float], wants: dict[str, str]) -> Tree:
 def _parameters(spec: RigFile, rig: Rig) -> Tree:
     """The base model's; an axis without chambers has only friction."""
     drop = frozenset() if spec.layout.has_valve else hydraulic_names(rig)
-    known = {name: s for name, s in BASE.items() if name not in drop}
+    known = {name: s for name, s in spec.base.items() if name not in drop}
     return _fields(rig, known, spec.parameters, spec)
 
 

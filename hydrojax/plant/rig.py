@@ -73,7 +73,7 @@ class Rig(eqx.Module):
     def command_step(
         self, memory: tuple, u: Array, h: Array
     ) -> tuple[tuple, tuple[Array, ...]]:
-        """The same over a whole inputs.
+        """The same over a whole tick.
 
         Returns the memories and the opening over the tick, as `Point` has it.
         """
@@ -145,7 +145,7 @@ class Rig(eqx.Module):
         return F + sum(e.force(at) for e in self.force)
 
     def slide(self, state: State, inputs: StepInput) -> State:
-        """Bristle, filtered speed and films after the piston's motion over a inputs."""
+        """Bristle, filtered speed and films after the piston's motion over a tick."""
         dx = stretch.moves(self.stretch, inputs)
         h = inputs.h / dx.shape[-1]
         z, speed = state.z, state.speed[..., 0] if self.velocity else state.speed
@@ -173,7 +173,7 @@ class Rig(eqx.Module):
         return speed[..., 0], jnp.sum(speed[..., 2:] - speed[..., 1:2], axis=-1)
 
     def sliding(self, state: State, inputs: StepInput) -> Sliding:
-        """What friction sees at the end of a inputs."""
+        """What friction sees at the end of a tick."""
         v = stretch.velocity(self.stretch, inputs)
         speed, lag = self.films(state.speed)
         return Sliding(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -16,6 +17,7 @@ from hydrojax.parameters import get, put
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.load import Driven, Inertia
 from hydrojax.plant.rig import Rig, add, bare_rig
+from hydrojax.plant.valve import MeteringEdges
 from hydrojax.rigfile.controller import (
     ENCODER,
     LOOP_KEYS,
@@ -103,7 +105,9 @@ def build_rig(
     order = {name: i for i, name in enumerate(EFFECTS)}
     names = sorted(modules, key=lambda name: order.get(name, len(order)))
     rig = add(bare_rig(file.layout, file.geometry), [modules[n] for n in names])
-    if file.command_unit == "1":
+    if file.valve is not None:
+        rig = eqx.tree_at(lambda r: r.valve, rig, file.valve)
+    elif file.command_unit == "1":
         # The default valve constants are per volt of a +-10 V command.
         rig = put(rig, LANDS, 10 * get(rig, LANDS))
     given = {name: e.start for name, e in file.parameters.items()}
@@ -145,7 +149,8 @@ def build_loop(
         where: what opens an error line about `gains`.
 
     Raises:
-        InputError: an invalid key, unit or value, or a rig without a valve.
+        InputError: an invalid key, unit or value; a rig without a valve; or one whose
+            valve the paper's law cannot invert, and no other law.
     """
     if not file.layout.has_valve:
         raise InputError(
@@ -157,6 +162,7 @@ def build_loop(
     gains = dict(gains or {})
     law = file.law
     if law is None:
+        _check_invertible(file)
         keys |= read_keys(where, gains, file)
         law = make_law(keys, nominal, file, file.line["P_r"])
     else:
@@ -175,6 +181,19 @@ def build_loop(
         h=_array(h),
         P_start=_array(_start(nominal, sum(file.line.values()) / 2)),
     )
+
+
+def inverts(file: RigFile) -> bool:
+    """Whether the paper's law can invert the rig's valve: it needs metering edges."""
+    return file.valve is None or isinstance(file.valve, MeteringEdges)
+
+
+def _check_invertible(file: RigFile) -> None:
+    if not inverts(file):
+        raise InputError(
+            f"{file.path}: the paper's law inverts four metering edges, not the valve "
+            f"{type(file.valve).__name__}; give a controller of your own as the law"
+        )
 
 
 def _start(rig: Rig, middle: float) -> float:

@@ -11,7 +11,6 @@ from hydrojax import units
 from hydrojax.effects import EFFECTS
 from hydrojax.parameters import Spec, specs
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.vocabulary import BASE
 
 Values = Mapping[str, float]
 
@@ -68,7 +67,7 @@ def rewrite(
 def _tables(document, spec: RigFile):
     """(effect or "", its table, what is known of its parameters) of a document."""
     if "parameters" in document:
-        yield "", document["parameters"], BASE
+        yield "", document["parameters"], spec.base
     for effect in spec.effects:
         yield effect, document["effects"][effect], specs(EFFECTS[effect])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from hydrojax.errors import InputError
 from hydrojax.logs.signals import SIGNALS, Channel
 from hydrojax.parameters import Spec
 from hydrojax.plant.layout import LAYOUTS, Layout
+from hydrojax.plant.valve import AbstractValve
 from hydrojax.rigfile.entries import (
     Entry,
     entry,
@@ -23,10 +24,10 @@ from hydrojax.rigfile.entries import (
 from hydrojax.rigfile.plain import to_text
 from hydrojax.rigfile.sections import ControllerValue, check_known, read_sections
 from hydrojax.rigfile.vocabulary import (
-    BASE,
     GEOMETRY,
     LOAD,
     SUPPLY_UNITS,
+    base_specs,
     effect_specs,
 )
 
@@ -52,6 +53,8 @@ class RigFile:
         parameters: the base model's, by name.
         effects: those declared, with the parameters given, by name.
         controller: as written; `hydrojax.rigfile.controller` reads it.
+        valve: a valve in place of the paper's four metering edges; [parameters] then
+            holds its parameters in place of theirs.
         law: a controller in place of the paper's law, with gains of its own; of
             [controller] its loop has the rate and the resolution.
         command_unit: the valve command's, "V" or "1", as the constants imply; "V" if
@@ -73,10 +76,11 @@ class RigFile:
     command_unit: str
     path: str
     law: AbstractController | None = None
+    valve: AbstractValve | None = None
     text: str = field(default="", repr=False, compare=False)
 
     @classmethod
-    def load(cls, path: str | Path) -> RigFile:
+    def load(cls, path: str | Path, valve: AbstractValve | None = None) -> RigFile:
         """Read a rig file (TOML) and check all that can be checked without a log.
 
         Effects that installed packages offer are known, and those of files that
@@ -84,6 +88,7 @@ class RigFile:
 
         Args:
             path: the TOML file.
+            valve: as `from_text` has it.
 
         Raises:
             InputError: the file cannot be read, or see `from_text`.
@@ -96,15 +101,19 @@ class RigFile:
         except ValueError as err:  # not even text
             detail = " ".join(str(err).split())
             raise InputError(f"{path}: not TOML: {detail}; correct that line") from err
-        return read_rig(text, str(path), BASE, effect_specs())
+        return cls.from_text(text, str(path), valve)
 
     @classmethod
-    def from_text(cls, text: str, path: str = "rig") -> RigFile:
+    def from_text(
+        cls, text: str, path: str = "rig", valve: AbstractValve | None = None
+    ) -> RigFile:
         """A rig file from its text.
 
         Args:
             text: the TOML.
             path: what opens the line of an error; the rig's name if the text has none.
+            valve: a valve in place of the paper's four metering edges. [parameters]
+                then takes its parameters; those not given are as in this instance.
 
         Raises:
             InputError: no TOML; an unknown section, key, parameter, effect, signal or
@@ -113,10 +122,24 @@ class RigFile:
                 geometry that the layout needs; commands in V here and dimensionless
                 there.
         """
-        return read_rig(text, path, BASE, effect_specs())
+        file = read_rig(text, path, base_specs(valve), effect_specs())
+        return replace(file, valve=valve)
+
+    def with_text(self, text: str) -> RigFile:
+        """The rig of another text, with this one's path, valve and controller.
+
+        Raises:
+            InputError: see `from_text`.
+        """
+        return replace(RigFile.from_text(text, self.path, self.valve), law=self.law)
 
     @classmethod
-    def from_dict(cls, tree: Mapping[str, Any], path: str = "rig") -> RigFile:
+    def from_dict(
+        cls,
+        tree: Mapping[str, Any],
+        path: str = "rig",
+        valve: AbstractValve | None = None,
+    ) -> RigFile:
         """A rig file from nested dicts with the keys of the TOML.
 
         Args:
@@ -124,11 +147,13 @@ class RigFile:
                 unit in which it is declared (per volt where it depends on the unit of
                 the valve command); in [controller] a number is in the paper's unit.
             path: as `from_text` has it.
+            valve: as `from_text` has it.
 
         Raises:
             InputError: see `from_text`.
         """
-        return cls.from_text(to_text(tree, BASE, effect_specs()), path)
+        text = to_text(tree, base_specs(valve), effect_specs())
+        return cls.from_text(text, path, valve)
 
     def save(self, path: str | Path) -> None:
         """Write the text that this was read from, UTF-8.
@@ -136,6 +161,11 @@ class RigFile:
         For a file with other values see `hydrojax.rigfile.edit.rewrite`.
         """
         Path(path).write_text(self.text, encoding="utf-8")
+
+    @property
+    def base(self) -> dict[str, Spec]:
+        """What [parameters] may hold: the base model's parameters, by name."""
+        return base_specs(self.valve)
 
     @property
     def line(self) -> dict[str, float]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hydrojax.effects import EFFECTS, offered
+from hydrojax.errors import InputError
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.chambers import Chambers
 from hydrojax.plant.friction import Friction
-from hydrojax.plant.valve import MeteringEdges
+from hydrojax.plant.valve import AbstractValve, MeteringEdges
 
 GEOMETRY = {
     "area": "m^2", "area_1": "m^2", "area_2": "m^2",
@@ -26,12 +27,32 @@ LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
 LANDS = tuple(specs(MeteringEdges))
 """The valve constants' names."""
 
-BASE: Mapping[str, Spec] = {
-    **specs(MeteringEdges),
-    **specs(Chambers),
-    **specs(Friction),
-}
-"""The base model's parameters, by name."""
+
+def base_specs(valve: AbstractValve | None = None) -> dict[str, Spec]:
+    """The base model's parameters, by name: those of valve, chambers and friction.
+
+    Args:
+        valve: None for the paper's four metering edges.
+
+    Raises:
+        InputError: no valve, or one with a parameter that chambers or friction have.
+    """
+    if valve is not None and not isinstance(valve, AbstractValve):
+        raise InputError(
+            f"valve: invalid {valve!r}: expected an instance of an AbstractValve"
+        )
+    own = specs(MeteringEdges if valve is None else valve)
+    rest = {**specs(Chambers), **specs(Friction)}
+    if shared := sorted(own.keys() & rest.keys()):
+        raise InputError(
+            f"valve: {type(valve).__name__} declares {shared[0]}, which the chambers "
+            "or the friction have; rename it"
+        )
+    return own | rest
+
+
+BASE: Mapping[str, Spec] = base_specs()
+"""The base model's parameters with the paper's valve, by name."""
 
 
 def effect_specs() -> dict[str, dict[str, Spec]]:

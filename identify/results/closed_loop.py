@@ -12,7 +12,7 @@ from hydrojax.identify.results.outcome import LoopCheck
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.parameters import get, parameter_specs, put
-from hydrojax.rigfile.build import build_loop, build_rig
+from hydrojax.rigfile.build import build_loop, build_rig, inverts
 from hydrojax.rigfile.entries import Entry
 from hydrojax.rigfile.scenarios import longest, rerun
 from hydrojax.rigfile.schema import RigFile
@@ -53,9 +53,12 @@ def check_loop(
         criteria: how much of the log is run, and what of it is not compared.
 
     Returns:
-        None where there is no closed loop to compare: no u, F or F_d.
+        None where there is no closed loop to compare: no u, F or F_d, or a valve that
+        the law cannot invert.
     """
     if not {"u", "F", "F_d"} <= set(log.signals) or not spec.layout.has_valve:
+        return None
+    if spec.law is None and not inverts(spec):
         return None
     known = identified(spec, values)
     rig = build_rig(known, added)

@@ -17,8 +17,7 @@ import pandas as pd
 import pytest
 import scipy.io
 
-from hydrojax import __version__, cli
-from hydrojax.identify import api as running
+from hydrojax import __version__, api, cli
 from tests.conftest import Said
 
 RIG = """\
@@ -320,13 +319,13 @@ def test_a_missing_rig_is_refused(call, bench):
 # -- options that will not do --
 
 
-def refuse_to_work(*_: object) -> None:
+def refuse_to_work(*_: object, **__: object) -> None:
     raise AssertionError("the logs were read before --out was seen to be no folder")
 
 
 @pytest.mark.parametrize("below", ["", "sub", "sub/sub"])
 def test_out_must_be_a_folder_and_is_looked_at_first(call, bench, monkeypatch, below):
-    monkeypatch.setattr(running, "open_case", refuse_to_work)
+    monkeypatch.setattr(api, "open_case", refuse_to_work)
     file = bench / "report"
     file.write_text("mine")
     given = ("identify", bench / "rig.toml", bench / "log.csv", "--out", file / below)

@@ -28,6 +28,7 @@ from hydrojax.plant.places import PLACES
 from hydrojax.plant.replay import friction_memory, pressures, readings
 from hydrojax.plant.rig import add
 from hydrojax.plant.state import StepInput
+from hydrojax.plant.step import act, start
 
 SHAPES = {
     "gravity_load": {"radius": 0.085},
@@ -390,8 +391,7 @@ def test_what_stretches_gives_way_as_the_force_rises(rig):
     ):
         soft = add(rig, [effect])
         lane = jnp.zeros(1)
-        state = soft.init(lane, lane + 7e6, lane + 6.9e6, lane + 2e-3)
-        tick = StepInput(
+        inputs = StepInput(
             h=lane + h,
             u=lane,
             P_s=jnp.full((1, 2), 14e6),
@@ -402,11 +402,12 @@ def test_what_stretches_gives_way_as_the_force_rises(rig):
             a=lane,
             t=lane,
         )
+        state, _ = start(soft, inputs, (lane + 7e6, lane + 6.9e6))
 
-        def one(state, i, soft=soft, tick=tick, lane=lane):
+        def one(state, i, soft=soft, inputs=inputs, lane=lane):
             opening = (lane, lane + 1.0)
-            state = soft.act(state, opening, tick)
-            F = soft.output_force(soft.sliding(state, tick))
+            state = act(soft, state, opening, inputs)
+            F = soft.output_force(soft.sliding(state, inputs))
             return state, jnp.stack([*state.P, F])
 
         got = np.asarray(jax.lax.scan(one, state, jnp.arange(ticks))[1])[..., 0]
@@ -452,11 +453,10 @@ def test_force_stretch_and_bristle_agree_while_it_slides(rig, name, fields):
     t = h * jnp.arange(n + 1)
     x = 2e-3 + 4e-4 * jnp.sin(2 * jnp.pi * 9.0 * t)
 
-    def one(state, i):
-        u = 0.6 * jnp.sin(2 * jnp.pi * 17.0 * t[i])
-        tick = StepInput(
+    def inputs_at(i):
+        return StepInput(
             h=jnp.asarray(h),
-            u=u,
+            u=0.6 * jnp.sin(2 * jnp.pi * 17.0 * t[i]),
             P_s=jnp.full(2, 14e6),
             P_r=jnp.full(2, 0.25e6),
             x=jnp.stack([x[i], (x[i] + x[i + 1]) / 2, x[i + 1]]),
@@ -465,14 +465,17 @@ def test_force_stretch_and_bristle_agree_while_it_slides(rig, name, fields):
             a=jnp.zeros(()),
             t=t[i + 1],
         )
-        opening = jnp.maximum(u, 0.0), jnp.maximum(-u, 0.0)
-        state = soft.act(state, opening, tick)
-        at = soft.sliding(state, tick)
+
+    def one(state, i):
+        inputs = inputs_at(i)
+        opening = jnp.maximum(inputs.u, 0.0), jnp.maximum(-inputs.u, 0.0)
+        state = act(soft, state, opening, inputs)
+        at = soft.sliding(state, inputs)
         return state, jnp.stack([soft.output_force(at), state.rod[0], at.speed])
 
     zero = jnp.zeros(())
-    start = soft.init(zero, zero + 7e6, zero + 7.2e6, x[0])
-    F, solved, speed = np.asarray(jax.lax.scan(one, start, jnp.arange(n))[1]).T
+    begun, _ = start(soft, inputs_at(0), (zero + 7e6, zero + 7.2e6))
+    F, solved, speed = np.asarray(jax.lax.scan(one, begun, jnp.arange(n))[1]).T
     assert np.ptp(F) > 500 and speed[-1] > 5e-3
     assert np.max(np.abs(F - solved)) < 0.005 * np.ptp(F)
     assert np.std(np.diff(F, 4)) < 0.01 * np.ptp(F)

@@ -186,3 +186,39 @@ def test_a_sweep_refuses_what_it_does_not_hold():
             part.hydrojax.plot("peak")
     with pytest.raises(InputError, match="no axis of the sweep is left"):
         sweep(one=False).isel(k_p=0, k_f=0).hydrojax.plot()
+
+
+def test_a_sweep_summarises_itself_and_draws_bode_plots():
+    data = sweep(one=False)
+    title, line = data.hydrojax.summary().split("\n")
+    assert title == "rig: gains to bandwidth" and line == sentences(data)[0]
+    chosen = data.hydrojax.plot_bode().axes
+    assert [ax.get_title().partition("\n")[0] for ax in chosen[:2]] == [
+        "the rig's gains", "widest within 1 dB",
+    ]  # fmt: skip
+    own = data.hydrojax.plot_bode({"low": {"k_p": 0, "k_f": -1}}).axes
+    assert own[0].get_title() == "low\nk_p = 0.5, k_f = 3"
+    assert len(own) == 2 and "dB" in own[0].get_ylabel()
+
+
+def test_a_bode_plot_of_no_cell_is_refused():
+    data = sweep(one=False)
+    with pytest.raises(InputError, match="an index for each of k_p, k_f"):
+        data.hydrojax.plot_bode({"low": {"k_p": 0}})
+    with pytest.raises(InputError, match="an index of k_p below 3, got 3"):
+        data.hydrojax.plot_bode({"low": {"k_p": 3, "k_f": 0}})
+    for view in (xr.Dataset().hydrojax.plot_bode, xr.Dataset().hydrojax.summary):
+        with pytest.raises(InputError, match="not a whole sweep"):
+            view()
+
+
+def test_a_tuning_plots_what_its_limits_cost():
+    t = tuned()
+    (ax,) = t.plot("limits").axes
+    assert [label.get_text() for label in ax.get_yticklabels()] == [
+        "spool: ten times as fast"
+    ]
+    with pytest.raises(InputError, match="'step': expected one of bode, limits"):
+        t.plot("step")
+    with pytest.raises(InputError, match="no limit was examined"):
+        replace(t, relaxed=()).plot("limits")

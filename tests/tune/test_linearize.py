@@ -37,7 +37,7 @@ def known(setting):
 
 @pytest.fixture(scope="module")
 def system():
-    return program(lambda s: linearize.system(s, operating_point.start(s)))
+    return program(lambda s: linearize.system(s, operating_point.initial_state(s)))
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +50,8 @@ def response(states):
     hertz = jnp.asarray(HERTZ)
 
     def one(s):
-        small = linearize.system(s, operating_point.start(s), states)
-        return linearize.response(small, hertz), linearize.radius(small)
+        small = linearize.system(s, operating_point.initial_state(s), states)
+        return linearize.frequency_response(small, hertz), linearize.radius(small)
 
     return program(one)
 
@@ -134,7 +134,7 @@ def test_the_response_is_a_numpy_model_s(setting, known, response, free):
 
 def test_few_states_are_all_of_them(setting, system, states, response):
     """What is left out, and what is merged, changes nothing."""
-    full = linearize.response(system(setting), jnp.asarray(HERTZ))
+    full = linearize.frequency_response(system(setting), jnp.asarray(HERTZ))
     assert len(set(states.group)) < 10
     np.testing.assert_allclose(full, response(setting)[0], atol=1e-10)
 
@@ -164,7 +164,7 @@ def test_linear_checks_without_friction(setting, known, response, delay, low, hi
     """
     s = change(without_friction(setting, known), known, valve_delay__tau_u=delay)
     H, _ = response(s)
-    band = float(metrics.within(jnp.asarray(HERTZ), H[:, 0, 0]))
+    band = float(metrics.band_within(jnp.asarray(HERTZ), H[:, 0, 0]))
     assert low < band < high
 
 
@@ -174,7 +174,9 @@ def test_the_edge_without_friction_is_near_600_rad_per_s(setting, known, states)
     def one(total):
         s = change(without_friction(setting, known), known, k_p=total / 3)
         s = change(s, known, k_f=2 * total / 3)
-        return linearize.radius(linearize.system(s, operating_point.start(s), states))
+        return linearize.radius(
+            linearize.system(s, operating_point.initial_state(s), states)
+        )
 
     totals = np.arange(4.0, 9.0, 0.1)
     radii = np.asarray(program(jax.vmap(one))(jnp.asarray(totals)))
@@ -247,7 +249,7 @@ def test_noise_s_response_and_coherence_are_scipy_s():
     given = measure.white_noise(1000.0, seconds=9.0, lines=500)
     x = np.asarray(given.shape)
     y = signal.lfilter([0.3], [1, -0.7], x) + 0.2 * rng.normal(size=x.size)
-    H, coherence = measure.response(given, jnp.asarray(x), jnp.asarray(y))
+    H, coherence = measure.estimate_response(given, jnp.asarray(x), jnp.asarray(y))
     cut = {"fs": 1000.0, "nperseg": 1000}
     late = slice(given.skip, None)
     hertz, cross = signal.csd(x[late], y[late], **cut)
@@ -263,8 +265,10 @@ def test_slope_of_the_bandwidth_is_its_difference(setting, known, states):
 
     def band(gains):
         s = change(setting, known, k_p=gains[0], k_f=gains[1], k_1=gains[2])
-        small = linearize.system(s, operating_point.start(s), states)
-        return metrics.within(hertz, linearize.response(small, hertz)[:, 0, 0])
+        small = linearize.system(s, operating_point.initial_state(s), states)
+        return metrics.band_within(
+            hertz, linearize.frequency_response(small, hertz)[:, 0, 0]
+        )
 
     value, slope = program(band), program(jax.jacfwd(band))
     here = np.array([1.2, 2.4, 0.008])
@@ -281,8 +285,10 @@ def test_a_free_mass_loses_the_band_near_18_hz():
 
     spec = replace(SPEC, output_load={"mass": 150.0, "stiffness": 2e6, "damping": 2e3})
     s = open_setting(spec)
-    found = program(lambda s: linearize.system(s, operating_point.start(s)))(s)
-    H = np.abs(np.asarray(linearize.response(found, jnp.asarray(HERTZ)))[:, 0, 0])
+    found = program(lambda s: linearize.system(s, operating_point.initial_state(s)))(s)
+    H = np.abs(
+        np.asarray(linearize.frequency_response(found, jnp.asarray(HERTZ)))[:, 0, 0]
+    )
     band = (HERTZ > 8) & (HERTZ < 40)
     i = np.argmin(np.where(band, H, np.inf))
     # The load's own: sqrt(k / m), where its force is least.

@@ -6,6 +6,9 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pint
@@ -39,7 +42,7 @@ def known(setting):
 
 def plan_of(setting, known, words, methods=("linear",), **more):
     given = {"multisine": measure.multisine(1000.0, period=0.5, lines=12)}
-    return plan.prepare(
+    return plan.with_excitations(
         plan.Plan(setting, make_axes(read_axes(words), known), known, methods,
                   excitations=given, rig="reference rig", **more)
     )  # fmt: skip
@@ -131,8 +134,8 @@ def test_axes_as_a_notebook_gives_them(known):
 def test_chunks_change_nothing(setting, known):
     words = ["k_p=0.5:3:3", "k_f=1:4:3"]
     methods = ("linear", "multisine")
-    whole = sweep.run(plan_of(setting, known, words, methods, chunk=9))
-    parts = sweep.run(plan_of(setting, known, words, methods, chunk=4))
+    whole = sweep.run_sweep(plan_of(setting, known, words, methods, chunk=9))
+    parts = sweep.run_sweep(plan_of(setting, known, words, methods, chunk=4))
     for name, table in whole.data_vars.items():
         scale = float(np.nanmax(np.abs(table))) or 1.0
         np.testing.assert_allclose(parts[name], table, rtol=1e-12, atol=1e-12 * scale)
@@ -149,7 +152,7 @@ setting = t.open_setting(t.SPEC)
 known = t.quantities(t.SPEC, setting)
 asked = t.plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine"))
 assert jax.local_device_count() == 2 and t.plan.chunk_size(asked, "multisine") == 6
-t.sweep.run(asked, Path(sys.argv[2]))
+t.sweep.run_sweep(asked, Path(sys.argv[2]))
 """
 
 
@@ -162,7 +165,9 @@ def test_devices_share_a_sweep_and_change_nothing(setting, known, tmp_path, cach
         env=os.environ | {"XLA_FLAGS": two}, check=True, timeout=300,
     )  # fmt: skip
     shared = xr.load_dataset(tmp_path / "sweep.nc")
-    alone = sweep.run(plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine")))
+    alone = sweep.run_sweep(
+        plan_of(setting, known, ["k_p=0.5:3:5"], ("linear", "multisine"))
+    )
     assert shared.data_vars.keys() == alone.data_vars.keys()
     for name, table in alone.data_vars.items():
         scale = float(np.nanmax(np.abs(table))) or 1.0
@@ -171,7 +176,7 @@ def test_devices_share_a_sweep_and_change_nothing(setting, known, tmp_path, cach
 
 def test_other_values_compile_nothing(setting, known, compiled):
     def swept(words):
-        return sweep.run(plan_of(setting, known, words, ("linear", "multisine")))
+        return sweep.run_sweep(plan_of(setting, known, words, ("linear", "multisine")))
 
     swept(["k_p=0.5:1:2", "k_f=1:2:2"])
     compiled.clear()
@@ -181,8 +186,8 @@ def test_other_values_compile_nothing(setting, known, compiled):
 
 def test_a_cell_is_the_rig_with_its_values(setting, known):
     """The map's cell at the rig's own gains, alone."""
-    data = sweep.run(plan_of(setting, known, ["k_p=0.6,1.2", "k_f=2.4,4.8"]))
-    alone = sweep.run(plan_of(setting, known, ["x=0,0.01"]))
+    data = sweep.run_sweep(plan_of(setting, known, ["k_p=0.6,1.2", "k_f=2.4,4.8"]))
+    alone = sweep.run_sweep(plan_of(setting, known, ["x=0,0.01"]))
     for name in metrics.UNITS:
         here = float(data[f"linear_{name}"].sel(k_p=1.2, k_f=2.4))
         assert here == pytest.approx(float(alone[f"linear_{name}"].sel(x=0)), rel=1e-9)
@@ -200,19 +205,19 @@ def test_a_stopped_sweep_goes_on_and_a_done_one_does_nothing(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        sweep.run(asked, tmp_path, stop)
+        sweep.run_sweep(asked, tmp_path, stop)
     kept = sorted((tmp_path / "parts").iterdir())
     assert len(kept) == 2 and not (tmp_path / "sweep.nc").exists()
     old = [p.stat().st_mtime_ns for p in kept]
     seen = []
-    data = sweep.run(asked, tmp_path, lambda *a: seen.append(a))
+    data = sweep.run_sweep(asked, tmp_path, lambda *a: seen.append(a))
     assert [p.stat().st_mtime_ns for p in kept] == old and seen[-1] == (6, 6)
     monkeypatch.setattr(sweep, "_Work", None)  # nothing is worked out again
-    again = sweep.run(asked, tmp_path)
+    again = sweep.run_sweep(asked, tmp_path)
     xr.testing.assert_identical(again, xr.load_dataset(tmp_path / "sweep.nc"))
     np.testing.assert_array_equal(again.linear_peak, data.linear_peak)
     with pytest.raises(InputError, match="another sweep"):
-        sweep.run(plan_of(setting, known, ["k_p=0.5:3:5"]), tmp_path)
+        sweep.run_sweep(plan_of(setting, known, ["k_p=0.5:3:5"]), tmp_path)
 
 
 def test_a_sweep_is_not_resumed_with_adaptation_frozen_or_freed(
@@ -228,7 +233,7 @@ def test_a_sweep_is_not_resumed_with_adaptation_frozen_or_freed(
         folder = tmp_path / str(i)
         todo = sweep.left(kept, folder)
         assert todo == [("multisine", 0)] == sweep.left(kept, folder)
-        for resume in (sweep.run, sweep.left):
+        for resume in (sweep.run_sweep, sweep.left):
             with pytest.raises(InputError, match="another sweep"):
                 resume(other, folder)
 
@@ -274,7 +279,7 @@ def test_a_sweep_resumed_after_an_effect_s_code_changed_is_of_the_new_code(
 
     def swept(setting, folder=None):
         asked = plan_of(setting, quantities(SPEC, setting), words)
-        return sweep.run(asked, folder)
+        return sweep.run_sweep(asked, folder)
 
     swept(own_effect(), out)
     kept = {p.name for p in (out / "parts").iterdir()}
@@ -296,11 +301,44 @@ def test_the_key_holds_the_code_of_an_effect_and_of_what_it_calls(own_effect):
     assert len({first, *others}) == 3
 
 
+LAW = """
+import jax.numpy as jnp
+from jaxtyping import Array
+from hydrojax.control.base import AbstractController
+from hydrojax.parameters import param
+
+class OwnP(AbstractController):
+    k: Array = param("V/N", 1e-3, 0.0, 1.0, "proportional gain")
+    u_max: Array = param("V", 10.0, 0.0, 10.0, "saturation")
+
+    def init(self, measured, F_d):
+        return jnp.zeros_like(F_d)
+
+    def step(self, memory, measured, F_d, h):
+        u = jnp.clip({sign}self.k * (F_d - measured.F), -self.u_max, self.u_max)
+        return memory, u, {{}}
+"""
+
+
+def test_the_key_holds_the_code_of_a_controller(monkeypatch):
+    def asked(sign):
+        module: Any = ModuleType("own_law")
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        exec(LAW.format(sign=sign), vars(module))
+        file = replace(SPEC, law=module.OwnP())
+        setting = open_setting(file)
+        return plan_of(setting, quantities(file, setting), ["k=1e-3,2e-3"])
+
+    first, again, other = asked("-"), asked("-"), asked("+")
+    assert first.key() == again.key() != other.key()
+    assert first.question() == other.question()
+
+
 def test_the_ensemble_and_what_95_percent_reach(setting, known):
     plants = ensemble(setting, 5)
     assert np.all(np.abs(plants.values / plants.values[0] - 1) <= 0.2)
     asked = plan_of(setting, known, ["k_p=0.6,1.2"], plants=plants)
-    data = sweep.run(asked)
+    data = sweep.run_sweep(asked)
     assert data.linear_within_1dB.dims == ("plant", "k_p")
     least = np.quantile(np.nan_to_num(data.linear_within_1dB), 0.05, axis=0)
     np.testing.assert_allclose(data.linear_within_1dB_95, least)
@@ -350,14 +388,14 @@ def test_plants_of_a_covariance_keep_every_scale(setting, tmp_path):
 
 def test_moving_points_settle(setting, known):
     """A joint that is moved has its valve open, and friction that slides."""
-    data = sweep.run(plan_of(setting, known, ["v=-0.01,0,0.01"]))
+    data = sweep.run_sweep(plan_of(setting, known, ["v=-0.01,0,0.01"]))
     assert np.all(data.linear_radius < 1)
     still, moved = (float(data.linear_within_1dB.sel(v=v)) for v in (0.0, 0.01))
     assert moved > still > 14  # presliding lowers the loop's gain; sliding does not
 
 
 def test_friction_makes_bandwidth_depend_on_amplitude(setting, known):
-    data = sweep.run(
+    data = sweep.run_sweep(
         plan_of(setting, known, ["amplitude=2,4000"], ("linear", "multisine"))
     )
     off = data.multisine_within_1dB / data.linear_within_1dB
@@ -413,20 +451,20 @@ def test_bad_words_exit_with_2(tmp_path, monkeypatch, capsys, words, says):
 
 def test_disagreement_and_saturation_are_on_the_map(setting, known):
     words = ["k_f=1:6:3", "amplitude=10:3000:3:log"]
-    data = sweep.run(plan_of(setting, known, words, ("linear", "multisine")))
+    data = sweep.run_sweep(plan_of(setting, known, words, ("linear", "multisine")))
     fig = plots.map_figure(data)
     titles = [ax.get_title() for ax in fig.axes]
     assert "where they disagree" in titles
     assert "linearised, adaptation frozen" in titles
     text = [t.get_text() for t in fig.legends[0].get_texts()]
     assert "saturates > 1 %" in text
-    assert set(plots.figures(data)) >= {"map_within_1dB", "map_rms_error", "bode"}
+    assert set(plots.sweep_figures(data)) >= {"map_within_1dB", "map_rms_error", "bode"}
 
 
 def test_an_axis_of_one_value_is_no_axis_of_a_picture(setting, known):
     """Two axes, one of a single value: lines over the other, and its Bode plots."""
-    data = sweep.run(plan_of(setting, known, ["k_p=1.2", "k_f=1,2.4"]))
+    data = sweep.run_sweep(plan_of(setting, known, ["k_p=1.2", "k_f=1,2.4"]))
     assert selection.axes_of(data) == ["k_p", "k_f"]
-    assert set(plots.figures(data)) == {"lines", "bode"}
-    alone = sweep.run(plan_of(setting, known, ["k_p=1.2"]))
-    assert set(plots.figures(alone)) == {"lines", "bode"}
+    assert set(plots.sweep_figures(data)) == {"lines", "bode"}
+    alone = sweep.run_sweep(plan_of(setting, known, ["k_p=1.2"]))
+    assert set(plots.sweep_figures(alone)) == {"lines", "bode"}

@@ -448,7 +448,7 @@ def records(theta: np.ndarray, noise: float = 0.0) -> list[dict]:
     return [
         {
             "parameters": {
-                n: {"value": v, "told": True, "unit": "N"}
+                n: {"value": v, "identified": True, "unit": "N"}
                 for n, v in zip(("k_cp", "k_cn"), row, strict=True)
             },
             "friction": {
@@ -478,7 +478,7 @@ def test_the_box_holds_as_much_friction_as_it_says():
 def test_friction_that_fits_do_not_tell_has_no_bounds():
     some = records(np.random.default_rng(0).normal(1000, 10, (9, 2)))
     for record in some[:5]:
-        record["parameters"]["k_cn"]["told"] = False
+        record["parameters"]["k_cn"]["identified"] = False
     found = friction.friction_box(some)
     assert found.box.names == ("k_cp",) and len(found.values) == 9
     assert friction.friction_box(some[:4]) is None

@@ -14,7 +14,7 @@ from hydrojax.identify.estimation.box import Stretch, smallest_box
 from hydrojax.paper.records import reference
 from hydrojax.parameters import put
 from hydrojax.rigfile.build import build_loop
-from hydrojax.tune.refine import Plants, refine, tracking, with_bounds
+from hydrojax.tune.refine import Plants, refine, tracking_errors, with_bounds
 
 NAMES = ("k_cp", "k_cn", "k_0")
 WIDE = [(-1e6, 1e6)] * 3
@@ -90,7 +90,7 @@ def test_refined_bounds_track_better_on_other_plants(loop_and_courses):
 
     def error(ends):
         held = with_bounds(loop, other.names, *ends)
-        return np.sqrt(np.mean(tracking(held, other, scenarios) ** 2))
+        return np.sqrt(np.mean(tracking_errors(held, other, scenarios) ** 2))
 
     assert error(found) < 0.5 * error((lower, upper))
 
@@ -107,7 +107,7 @@ def test_tracking_of_a_plant_is_its_run(loop_and_courses):
     scenario = jax.tree.map(lambda a: a[1], scenarios)
     F = np.asarray(run(alone, scenario, ("true_F",)))[:, 0]
     off = (np.asarray(scenario.F_d) - F)[500:]
-    got = tracking(loop, Plants(("k_cp",), np.array([[1100.0]])), scenarios)
+    got = tracking_errors(loop, Plants(("k_cp",), np.array([[1100.0]])), scenarios)
     assert got.shape == (1, 2)
     assert got[0, 1] == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-9)
 

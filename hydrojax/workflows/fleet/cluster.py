@@ -66,7 +66,7 @@ def client(address: str) -> Iterator[Client]:
             found = distributed.Client(address, timeout=10)
         except (OSError, ValueError) as error:
             raise InputError(
-                f"--cluster {address}: no scheduler answers there; start one with "
+                f"--cluster {address}: no scheduler responds there; start one with "
                 "dask scheduler, or write local:2"
             ) from error
         with found:
@@ -82,7 +82,7 @@ def share_out(
     tasks: Iterable[T],
     do: Callable[[T], Any],
     found: Client,
-    hear: Callable[[Any], None],
+    progress: Callable[[Any], None],
     lost: Callable[[T, str], Any],
 ) -> None:
     """Have every task done by one of the cluster's workers.
@@ -91,8 +91,8 @@ def share_out(
         tasks: taken as workers get free; they travel, so they are small.
         do: what does one, by name; run again on another worker if its own is lost.
         found: the cluster.
-        hear: told what `do` gave for every task.
-        lost: asked what to tell of a task whose workers died again and again.
+        progress: called with the result of `do` for every task.
+        lost: gives the result of a task whose workers died repeatedly.
     """
     from distributed import KilledWorker, as_completed
 
@@ -110,9 +110,9 @@ def share_out(
     for future in ended:
         task = under_way.pop(future.key)
         try:
-            said = future.result()
+            result = future.result()
         except KilledWorker:
-            said = lost(task, f"its worker was lost more than {TRIES} times")
-        hear(said)
+            result = lost(task, f"its worker was lost more than {TRIES} times")
+        progress(result)
         for more in islice(source, 1):
             ended.add(submit(more))

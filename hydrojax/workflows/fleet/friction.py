@@ -14,15 +14,15 @@ from hydrojax.plant.friction import Theta
 from hydrojax.workflows.fleet.merged import FEW
 
 LITTLE = 3.0
-"""Multiple of the fleet's median standard deviation above which a fit says too little
-of friction to be counted: few such would pass for the scatter of all."""
+"""Multiple of the fleet's median standard deviation above which a fit is too uncertain
+to be counted: a few such fits would pass for the scatter of all."""
 
 BOXED = 5000
 """Most fits that friction's bounds are cut from."""
 
 
 @dataclass(frozen=True)
-class Bounds:
+class FleetBounds:
     """Friction's bounds over the fleet.
 
     `units` [n] of the box's parameters; `values` [K, n] of the K fits that it is cut
@@ -37,7 +37,7 @@ class Bounds:
 
 def friction_box(
     records: Sequence[dict[str, Any]], confidence: float = 0.95
-) -> Bounds | None:
+) -> FleetBounds | None:
     """The smallest box that holds the next run's friction at a confidence.
 
     Of the friction parameters those that most fits tell; of the fits those that tell
@@ -62,12 +62,12 @@ def friction_box(
     limits = list(zip(low.tolist(), high.tolist(), strict=True))
     box = smallest_box(names, stretches, confidence, limits)
     units = tuple(fits[0]["parameters"][n]["unit"] for n in names)
-    return Bounds(box, units, np.array([s.theta for s in stretches]), len(good))
+    return FleetBounds(box, units, np.array([s.theta for s in stretches]), len(good))
 
 
 def _tells(record: dict[str, Any], name: str) -> bool:
     p = record["parameters"].get(name)
-    return bool(p and p["told"]) and name in record["friction"]["ranges"]
+    return bool(p and p["identified"]) and name in record["friction"]["ranges"]
 
 
 def _stretch(record: dict[str, Any], names: tuple[str, ...]) -> Stretch:

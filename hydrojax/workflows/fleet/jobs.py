@@ -20,7 +20,7 @@ Command = Literal["identify", "trace"]
 OWN = ("job", "rig", "fit", "validate")
 """Columns that say what is done; every other one is a label."""
 
-RESULTS = ("verdict", "says", "failed", "effects")
+RESULTS = ("verdict", "sentence", "failed", "effects")
 PREFIXES = ("parameter.", "channel.")
 LOGS = (".csv", ".csv.gz", ".parquet", ".mat", ".mcap")
 
@@ -98,7 +98,7 @@ def read_jobs(source: str | Path, command: Command = "trace") -> Jobs:
         command: what is to be done: `trace` needs logs to validate.
 
     Raises:
-        InputError: no such file, a column, row or cell that will not do, or no job.
+        InputError: no such file, an invalid column, row or cell, or no job.
     """
     source = Path(source)
     if source.is_dir():
@@ -106,8 +106,8 @@ def read_jobs(source: str | Path, command: Command = "trace") -> Jobs:
     else:
         jobs = Jobs(source, source.parent, _table(source))
     if not len(jobs):
-        mend = "a subfolder with rig.toml and fit*" if source.is_dir() else "a row"
-        raise InputError(f"{source}: holds no job; give it {mend} for each")
+        need = "a subfolder with rig.toml and fit*" if source.is_dir() else "a row"
+        raise InputError(f"{source}: holds no job; give it {need} for each")
     _check(jobs, command)
     return jobs
 
@@ -142,8 +142,8 @@ def _table(path: Path) -> pd.DataFrame:
     try:
         frame = _csv(path) if kind == "CSV" else pd.read_parquet(path)
     except Exception as error:  # every library has its own kinds for a broken file
-        mend = f"save it again as {kind}"
-        raise unreadable(path, f"{kind} file", error, mend) from error
+        hint = f"save it again as {kind}"
+        raise unreadable(path, f"{kind} file", error, hint) from error
     names = [str(c).strip() for c in frame.columns]
     for i, name in enumerate(names):
         if name in names[:i]:
@@ -191,7 +191,7 @@ def _typed(column: pd.Series) -> pd.Series:
 
 
 def _check(jobs: Jobs, command: Command) -> None:
-    """Raise on the first row that will not do."""
+    """Raise on the first invalid row."""
 
     def where(i: int) -> str:
         if jobs.source.is_dir():

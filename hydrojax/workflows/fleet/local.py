@@ -1,7 +1,7 @@
 """Worker processes on this machine, and what happens when one of them dies.
 
 Each has its own process and its share of the cores. A worker whose memory has grown is
-replaced; a task whose worker died is given to another, a few times.
+replaced; a task whose worker died is given to another, at most `TRIES` times.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ MEMORY = 3 * 2**30
 TRIES = 3
 """Workers that may die of a task before it counts as failed."""
 
-Hear = Callable[[Done], None]
+Progress = Callable[[Done], None]
+"""Called with every task that is done."""
 
 
 def cores() -> int:
@@ -35,7 +36,11 @@ def cores() -> int:
 
 
 def share_out(
-    tasks: Iterable[Task], workers: int, log: Path, hear: Hear, most: int = MEMORY
+    tasks: Iterable[Task],
+    workers: int,
+    log: Path,
+    progress: Progress,
+    most: int = MEMORY,
 ) -> None:
     """Have every task done by one of some worker processes.
 
@@ -45,28 +50,28 @@ def share_out(
         tasks: taken one by one as workers get free.
         workers: how many.
         log: a file, made if it is not there.
-        hear: told of every task that is done, in this thread.
+        progress: called with every task that is done, in this thread.
         most: bytes of a worker at which it is replaced.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     source, lock = iter(tasks), threading.Lock()
-    heard: SimpleQueue[Done | BaseException | None] = SimpleQueue()
-    lanes = [_Lane(source, lock, heard, log, workers, most) for _ in range(workers)]
+    ended: SimpleQueue[Done | BaseException | None] = SimpleQueue()
+    lanes = [_Lane(source, lock, ended, log, workers, most) for _ in range(workers)]
     for lane in lanes:
         lane.start()
     try:
         running = workers
         while running:
             try:
-                said = heard.get(timeout=1.0)  # so that Ctrl-C is heard everywhere
+                done = ended.get(timeout=1.0)  # so that Ctrl-C works everywhere
             except Empty:
                 continue
-            if said is None:
+            if done is None:
                 running -= 1
-            elif isinstance(said, BaseException):
-                raise said
+            elif isinstance(done, BaseException):
+                raise done
             else:
-                hear(said)
+                progress(done)
     finally:
         for lane in lanes:
             lane.stop()
@@ -77,9 +82,9 @@ def share_out(
 class _Lane(threading.Thread):
     """One worker after another, and the tasks they are given."""
 
-    def __init__(self, source: Iterator[Task], lock, heard, log: Path, workers, most):
+    def __init__(self, source: Iterator[Task], lock, ended, log: Path, workers, most):
         super().__init__(daemon=True)
-        self.source, self.lock, self.heard = source, lock, heard
+        self.source, self.lock, self.ended = source, lock, ended
         self.log, self.most = log, most
         self.environment = os.environ | environment(max(1, cores() // workers))
         self.process: subprocess.Popen[str] | None = None
@@ -94,14 +99,14 @@ class _Lane(threading.Thread):
                     break
                 done = self._persist(task)
                 if done is not None:
-                    self.heard.put(done)
+                    self.ended.put(done)
                     if done.memory > self.most:
                         self._end()
         except BaseException as error:
-            self.heard.put(error)
+            self.ended.put(error)
         finally:
             self._end()
-            self.heard.put(None)
+            self.ended.put(None)
 
     def stop(self) -> None:
         """End the worker at once, whatever it does."""
@@ -111,29 +116,29 @@ class _Lane(threading.Thread):
             process.kill()
 
     def _persist(self, task: Task) -> Done | None:
-        """Ask worker after worker; None if all was stopped."""
+        """Give the task to worker after worker; None if all was stopped."""
         code = 0
         for _ in range(TRIES):
-            answer = self._ask(task)
+            result = self._perform(task)
             if self.stopped:
                 return None
-            if answer:
-                return Done.model_validate_json(answer)
+            if result:
+                return Done.model_validate_json(result)
             code = self._end()
         return lost(task, f"its worker died {TRIES} times ({_cause(code)})")
 
-    def _ask(self, task: Task) -> str:
-        """The worker's answer; "" if it died."""
+    def _perform(self, task: Task) -> str:
+        """The worker's result as a line; "" if it died."""
         if self.process is None:
             self.process = self._begin()
             if self.stopped:  # `stop` may have come before there was one to end
                 return ""
-        pipe, answers = self.process.stdin, self.process.stdout
-        assert pipe is not None and answers is not None
+        pipe, results = self.process.stdin, self.process.stdout
+        assert pipe is not None and results is not None
         try:
             pipe.write(task.model_dump_json() + "\n")
             pipe.flush()
-            return answers.readline()
+            return results.readline()
         except OSError:
             return ""
 

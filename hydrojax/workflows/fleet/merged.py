@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from hydrojax.workflows.fleet.jobs import OWN, PREFIXES, RESULTS
 
 FEW = 5
-"""Fits below which nothing is said of outliers, drifts and bounds."""
+"""Number of fits below which no outliers, drifts and bounds are reported."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class Fleet:
     def parameters(self) -> list[str]:
         """Fitted parameters, as they are called between `parameter.` and `.std`."""
         return [
-            n.removeprefix("parameter.").removesuffix(".told")
+            n.removeprefix("parameter.").removesuffix(".identified")
             for n in self.schema.names
-            if n.startswith("parameter.") and n.endswith(".told")
+            if n.startswith("parameter.") and n.endswith(".identified")
         ]
 
     @property
@@ -64,15 +64,15 @@ class Fleet:
             if n not in known and not n.startswith(PREFIXES)
         ]
 
-    def told(self, name: str) -> pd.DataFrame:
-        """job, value, std, low, high of the fits that tell a parameter.
+    def identified(self, name: str) -> pd.DataFrame:
+        """job, value, std, low, high of the fits that identify a parameter.
 
         Row numbers stay those of the table.
         """
-        ends = ("", ".std", ".low", ".high", ".told")
+        ends = ("", ".std", ".low", ".high", ".identified")
         own: Any = self.columns("job", *(f"parameter.{name}{end}" for end in ends))
-        own.columns = ["job", "value", "std", "low", "high", "told"]
-        return own[own["told"].fillna(False).astype(bool) & own["value"].notna()]
+        own.columns = ["job", "value", "std", "low", "high", "identified"]
+        return own[own["identified"].fillna(False).astype(bool) & own["value"].notna()]
 
 
 def label(fleet: Fleet, name: str) -> pd.Series:

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from hydrojax.identify.report.figures import ABOVE, AFTER, BAND, STYLE, sheet
 from hydrojax.report.text import engineering, raised, symbol, words
-from hydrojax.workflows.fleet.friction import Bounds
+from hydrojax.workflows.fleet.friction import FleetBounds
 from hydrojax.workflows.fleet.merged import FEW, Fleet, label
 from hydrojax.workflows.fleet.summary import FAR, Found, robust_z
 
@@ -27,13 +27,13 @@ KINDS = 12
 PARTS = 24
 """Parts of a crowded axis."""
 TALL, ROOM = 1.55, 0.55
-"""Inches of a row of panels, and of what stands above and below."""
+"""Height of a row of panels, and of the margins above and below, inches."""
 
 
-def parameter_figure(fleet: Fleet, name: str = "") -> Figure | None:
+def label_figure(fleet: Fleet, name: str = "") -> Figure | None:
     """Every parameter against a label, with its 95 % intervals; against rows for ""."""
     at = label(fleet, name) if name else _rows(fleet)
-    drawn = [p for p in fleet.parameters if len(fleet.told(p))]
+    drawn = [p for p in fleet.parameters if len(fleet.identified(p))]
     if not drawn or not at.notna().any():
         return None
     with rc_context(STYLE):
@@ -55,7 +55,7 @@ def _rows(fleet: Fleet) -> pd.Series:
 
 
 def _panel(ax: Axes, fleet: Fleet, parameter: str, at: pd.Series) -> None:
-    own: Any = fleet.told(parameter)
+    own: Any = fleet.identified(parameter)
     own = own.assign(at=at.reindex(own.index)).dropna(subset=["at"])
     unit = fleet.unit(f"parameter.{parameter}")
     values = own["value"].to_numpy(float)
@@ -88,7 +88,7 @@ def _scale(size: float, unit: str) -> tuple[float, str]:
 
 
 def _places(at: pd.Series) -> tuple[np.ndarray, list[str] | None]:
-    """Where values stand on the axis; NaN for rare categories, and names of those."""
+    """Positions of values on the axis, NaN for rare categories; names of the others."""
     if at.dtype.kind == "f":
         return at.to_numpy(float), None
     if at.dtype.kind == "M":
@@ -128,7 +128,7 @@ def _fits(
 
 
 def _clip(ax: Axes, y: np.ndarray, centre: float, half: float) -> None:
-    """Show what is near; say how many stand outside."""
+    """Limit the axis to what is near; print how many points lie outside."""
     low, high = min(centre - half, y.min()), max(centre + half, y.max())
     if high - low > 12 * half:
         low, high = centre - 3 * half, centre + 3 * half
@@ -175,7 +175,7 @@ def effect_figure(found: Sequence[Found], jobs: int) -> Figure | None:
         return figure
 
 
-def bounds_figure(found: Bounds) -> Figure:
+def friction_figure(found: FleetBounds) -> Figure:
     """Friction of every fit, and the box that holds the next one."""
     names = found.box.names
     with rc_context(STYLE):

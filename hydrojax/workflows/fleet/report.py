@@ -14,13 +14,12 @@ from matplotlib.figure import Figure
 from hydrojax import units
 from hydrojax.identify.report.figures import png
 from hydrojax.report.files import write_all
-from hydrojax.report.page import Picture
-from hydrojax.report.page import page as make_page
+from hydrojax.report.page import Picture, page
 from hydrojax.report.text import p_text, quantity, words
 from hydrojax.rigfile import controller
 from hydrojax.rigfile.edit import text
 from hydrojax.workflows.fleet import friction, pictures, summary
-from hydrojax.workflows.fleet.friction import BOXED, Bounds
+from hydrojax.workflows.fleet.friction import BOXED, FleetBounds
 from hydrojax.workflows.fleet.merged import Fleet
 from hydrojax.workflows.fleet.pictures import CROWD, ROW_NUMBER
 from hydrojax.workflows.fleet.store import Store
@@ -34,7 +33,7 @@ LABELS = 6
 
 @dataclass(frozen=True)
 class Seen:
-    """What the page says, before it is a page."""
+    """The content of the page."""
 
     jobs: int
     verdicts: list[tuple[str, int]]
@@ -44,12 +43,12 @@ class Seen:
     outliers: dict[str, list[summary.Outlier]]
     drifts: list[summary.Drift]
     parameters: list[tuple[str, str, int, float, float, float]]
-    bounds: Bounds | None
+    bounds: FleetBounds | None
     labels: list[str]
 
 
 def look(store: Store, keys: Sequence[str]) -> Seen:
-    """Everything that the page says of the merged table; outliers by job."""
+    """The content of the page from the merged table; outliers by job."""
     fleet = Fleet(store.folder / "fleet.parquet")
     whole = fleet.columns("job", "verdict", "failed")
     verdicts = Counter(whole["verdict"].dropna())
@@ -84,14 +83,14 @@ def _records(store: Store, keys: Sequence[str]) -> Iterator[dict[str, Any]]:
 
 
 def _spread(fleet: Fleet, name: str) -> tuple[str, str, int, float, float, float]:
-    """Name, unit, fits that tell it, and their 5, 50 and 95 % quantiles."""
-    own = fleet.told(name)["value"].to_numpy(float)
+    """Name, unit, number of fits that identify it, and its 5, 50, 95 % quantiles."""
+    own = fleet.identified(name)["value"].to_numpy(float)
     at = np.quantile(own, [0.05, 0.5, 0.95]) if len(own) else np.full(3, np.nan)
     low, middle, high = at.tolist()
     return name, fleet.unit(f"parameter.{name}"), len(own), low, middle, high
 
 
-def controller_lines(bounds: Bounds) -> list[str]:
+def controller_lines(bounds: FleetBounds) -> list[str]:
     """The box as lines for [controller], in the paper's units."""
     out = []
     for name, *ends in zip(
@@ -104,8 +103,8 @@ def controller_lines(bounds: Bounds) -> list[str]:
     return out
 
 
-def draw(store: Store, seen: Seen) -> list[Picture]:
-    """The pictures that there is something to show in."""
+def draw_fleet(store: Store, seen: Seen) -> list[Picture]:
+    """The pictures for which there is data."""
     fleet = Fleet(store.folder / "fleet.parquet")
     out = []
 
@@ -114,8 +113,8 @@ def draw(store: Store, seen: Seen) -> list[Picture]:
             out.append(Picture(name, png(figure), alt, caption))
 
     said = (
-        "Every fit that tells the parameter, with its 95 % interval; orange: a robust "
-        f"z score beyond {FAR:g}."
+        "Every fit that identifies the parameter, with its 95 % interval; orange: a "
+        f"robust z score beyond {FAR:g}."
     )
     if seen.jobs > CROWD:
         said = (
@@ -124,7 +123,7 @@ def draw(store: Store, seen: Seen) -> list[Picture]:
         )
     for i, name in enumerate(seen.labels[:LABELS] or [""]):
         what = name or ROW_NUMBER
-        figure = pictures.parameter_figure(fleet, name)
+        figure = pictures.label_figure(fleet, name)
         show(f"fleet_label_{i + 1}", figure, f"Parameters against {what}.", said)
     rows = ", ".join(f"{words(f.name)} {f.jobs}" for f in seen.found)
     ran = seen.jobs - seen.reasons
@@ -137,20 +136,21 @@ def draw(store: Store, seen: Seen) -> list[Picture]:
     if seen.bounds:
         show(
             "fleet_friction",
-            pictures.bounds_figure(seen.bounds),
+            pictures.friction_figure(seen.bounds),
             "Friction parameters of the fits, and the bounds around them.",
-            "Friction of every fit that tells it about as well as most (spread up and "
-            "down to be seen), their mean, and the box that holds the next run's "
-            "friction, all of it together, with 95 %. The fits' own uncertainty is "
-            "taken out: fits may stand outside while friction does not.",
+            "Friction of every fit about as certain as most (spread vertically for "
+            "legibility), their mean, and the box that contains all friction "
+            "parameters of the next run with 95 % confidence. The fits' own "
+            "uncertainty is removed, so fits may lie outside the box while friction "
+            "does not.",
         )
     return out
 
 
-def page(seen: Seen, shown: Sequence[Picture], title: str) -> str:
+def fleet_page(seen: Seen, shown: Sequence[Picture], title: str) -> str:
     """fleet.html, with its pictures inside."""
     lines = controller_lines(seen.bounds) if seen.bounds else []
-    return make_page(
+    return page(
         Path(__file__).parent / "fleet.html",
         (quantity, p_text, words),
         s=seen,
@@ -162,7 +162,7 @@ def page(seen: Seen, shown: Sequence[Picture], title: str) -> str:
     )
 
 
-def write_report(store: Store, keys: Sequence[str], title: str) -> Seen:
+def write_fleet_report(store: Store, keys: Sequence[str], title: str) -> Seen:
     """Write fleet.html and its pictures beside the table.
 
     Args:
@@ -171,9 +171,9 @@ def write_report(store: Store, keys: Sequence[str], title: str) -> Seen:
         title: what the fleet is called.
     """
     seen = look(store, keys)
-    shown = draw(store, seen)
+    shown = draw_fleet(store, seen)
     files = {f"{p.name}.png": p.png for p in shown}
-    files["fleet.html"] = page(seen, shown, title).encode()
+    files["fleet.html"] = fleet_page(seen, shown, title).encode()
     write_all(store.folder, files)
     for old in store.folder.glob("fleet_*.png"):
         if old.name not in files:

@@ -25,8 +25,8 @@ from hydrojax.workflows.fleet.work import (
     perform,
 )
 
-Tell = Callable[[int, int], None]
-"""Hears of done jobs, of how many."""
+Progress = Callable[[int, int], None]
+"""Called with the jobs done and their total number."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Ran:
 
 
 class Stopped(Exception):
-    """Ctrl-C: so many are done and kept, of how many."""
+    """Ctrl-C was pressed: how many jobs are done and kept, of how many."""
 
     def __init__(self, done: int, jobs: int):
         super().__init__(f"{done} of {jobs} are done and kept")
@@ -55,7 +55,7 @@ def run_fleet(
     options: Options | None = None,
     workers: int = 0,
     cluster: str = "",
-    progress: Tell | None = None,
+    progress: Progress | None = None,
     solver: str = SOLVER,
     report: bool = True,
 ) -> Ran:
@@ -74,8 +74,8 @@ def run_fleet(
         report: whether fleet.html and its pictures are made too.
 
     Raises:
-        InputError: a table or an address that will not do, or results that workers
-            wrote and that are not here.
+        InputError: an invalid table or address, or results that workers wrote and
+            that are not here.
         Stopped: Ctrl-C.
     """
     options = options or Options()
@@ -84,10 +84,9 @@ def run_fleet(
     keys = keys_of(jobs, options)
     mark = _mark(jobs, keys)
     store.clear()
-    done = 0
-    for again in (False, True):
-        have = store.done()
-        left = set(keys) - have
+    done, unread = 0, []
+    for _ in range(2):  # again where results could not be read
+        left = set(keys) - store.done()
         if left:
             tasks = _tasks(jobs, keys, left, options, out, solver)
             done += _work(
@@ -95,26 +94,31 @@ def run_fleet(
             )
         elif merged(store) == mark and ((out / "fleet.html").exists() or not report):
             return Ran(len(jobs), done, _failures(out), False)
-        (out / "fleet.html").unlink(missing_ok=True)  # of another table
-        # A table with what is tried again is not the last: it has no mark.
-        last = set(keys) <= store.done()
-        unread, failed = merge(store, jobs, keys, mark if last else "")
+        unread, failed = _merge(store, jobs, keys, mark, report)
         if not unread:
-            if report:
-                from hydrojax.workflows.fleet.report import (
-                    write_report,  # it draws: only where it is wanted
-                )
-
-                write_report(store, keys, jobs.source.name)
             return Ran(len(jobs), done, failed, True)
-        if again:
-            break
         for key in unread:  # a power cut can leave a file empty
             store.drop(key)
     raise InputError(
         f"{out}: {len(unread)} results are not here after their jobs were done; give "
         "all workers this folder under the same path"
     )
+
+
+def _merge(
+    store: Store, jobs: Jobs, keys: list[str], mark: str, report: bool
+) -> tuple[list[str], int]:
+    """Write the table and its report; keys that cannot be read, and how many failed."""
+    (store.folder / "fleet.html").unlink(missing_ok=True)  # of another table
+    # A table with jobs that will be tried again is not the last: it has no mark.
+    last = set(keys) <= store.done()
+    unread, failed = merge(store, jobs, keys, mark if last else "")
+    if report and not unread:
+        # It draws, so it is imported only where it is wanted.
+        from hydrojax.workflows.fleet.report import write_fleet_report
+
+        write_fleet_report(store, keys, jobs.source.name)
+    return unread, failed
 
 
 def _tasks(
@@ -136,12 +140,12 @@ def _tasks(
 
 def _work(
     tasks: Iterator[Task], left: int, total: int, out: Path, workers: int,
-    cluster: str, progress: Tell | None,
+    cluster: str, progress: Progress | None,
 ) -> int:  # fmt: skip
     """Have tasks done; how many were."""
     done = 0
 
-    def hear(_: Done) -> None:
+    def count_one(_: Done) -> None:
         nonlocal done
         done += 1
         if progress:
@@ -152,10 +156,10 @@ def _work(
     try:
         if cluster:
             with clusters.client(cluster) as found:
-                clusters.share_out(tasks, perform, found, hear, lost)
+                clusters.share_out(tasks, perform, found, count_one, lost)
         else:
             count = min(workers or local.cores(), left)
-            local.share_out(tasks, count, out / "workers.log", hear)
+            local.share_out(tasks, count, out / "workers.log", count_one)
     except KeyboardInterrupt:
         raise Stopped(total - left + done, total) from None
     return done

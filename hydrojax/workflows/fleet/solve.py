@@ -71,7 +71,7 @@ def row_of(outcome: Any, ranges: Mapping[str, tuple[float, float]]) -> dict[str,
             "low": _finite(p.interval[0]) if p.interval else None,
             "high": _finite(p.interval[1]) if p.interval else None,
             "unit": p.unit,
-            "told": bool(p.identified),
+            "identified": bool(p.identified),
             "at_bound": bool(p.at_bound),
         }
         for name, p in every.items()
@@ -91,7 +91,7 @@ def row_of(outcome: Any, ranges: Mapping[str, tuple[float, float]]) -> dict[str,
     return {
         "rig": outcome.rig,
         "verdict": outcome.verdict,
-        "says": outcome.sentence,
+        "sentence": outcome.sentence,
         "parameters": parameters,
         "channels": channels,
         "effects": effects,

@@ -134,14 +134,14 @@ def merge(
     if unread:
         return unread, failed
     schema = _schema(jobs, columns, mark)
-    # fleet.parquet is the last, since its mark says that both are there.
+    # fleet.parquet is the last, since its mark means that both are complete.
     _write(store.folder / "seconds.parquet", SECONDS, _seconds(store, jobs, keys))
     _write(store.folder / "fleet.parquet", schema, _rows(store, jobs, keys, columns))
     return [], failed
 
 
 def merged(store: Store) -> str:
-    """The mark of the table that stands there; "" of none, and of one without."""
+    """The mark of the table in the folder; "" where it has none."""
     try:
         found = pq.read_schema(store.folder / "fleet.parquet").metadata or {}
     except (OSError, pa.ArrowInvalid):
@@ -154,13 +154,13 @@ def _schema(jobs: Jobs, columns: _Columns, mark: str) -> pa.Schema:
     fields = [pa.field(n, text) for n in ("job", "rig", "fit", "validate")]
     for name in jobs.labels:
         fields.append(pa.field(name, number if _is_number(jobs, name) else text))
-    fields += [pa.field(n, text) for n in ("verdict", "says", "failed", "effects")]
+    fields += [pa.field(n, text) for n in ("verdict", "sentence", "failed", "effects")]
     for name, units in columns.units.items():
         for unit in units:
             stem = columns.parameter(name, unit)
             said = {"unit": unit}
             fields += [pa.field(stem + e, number, metadata=said) for e in PARAMETER]
-            fields.append(pa.field(f"{stem}.told", pa.bool_()))
+            fields.append(pa.field(f"{stem}.identified", pa.bool_()))
     for name, unit in columns.channels.items():
         said = {"unit": unit}
         fields += [
@@ -184,14 +184,14 @@ def _rows(
         row = dict(zip(own, cells, strict=True))
         for name in jobs.labels:
             row[name] = None if row[name] == "" or row[name] != row[name] else row[name]
-        for name in ("verdict", "says", "failed"):
+        for name in ("verdict", "sentence", "failed"):
             row[name] = record.get(name) or None
         if not record.get("failed"):
             row["effects"] = ";".join(e["name"] for e in record.get("effects", []))
         for name, p in record.get("parameters", {}).items():
             stem = columns.parameter(name, p["unit"])
             row |= {stem + end: p[what] for end, what in PARAMETER.items()}
-            row[f"{stem}.told"] = p["told"]
+            row[f"{stem}.identified"] = p["identified"]
         for name, c in record.get("channels", {}).items():
             row |= {f"channel.{name}.{e}": c[e] for e in CHANNEL}
         yield row

@@ -1,4 +1,4 @@
-"""What a fleet's table says: outliers, drifts with labels, effects."""
+"""Summary of a fleet's table: outliers, drifts with labels, effects."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def robust_z(
 ) -> Float[np.ndarray, "n"]:
     """(x - median) / sqrt((MAD / 0.6745)^2 + std^2): robust z scores.
 
-    `std` is each value's own: what is known less well may stand further off. 0 where
+    `std` is each value's own: a less certain value may lie further off. 0 where
     more than half of the values are the same.
     """
     middle = np.median(values)
@@ -42,7 +42,7 @@ def robust_z(
 
 @dataclass(frozen=True)
 class Outlier:
-    """A job whose `what` (SI) stands apart from the fleet's median."""
+    """A job whose `what` (SI) is far from the fleet's median."""
 
     job: str
     what: str
@@ -53,10 +53,10 @@ class Outlier:
 
 
 def outliers(fleet: Fleet) -> list[Outlier]:
-    """Fits whose parameters, or errors in multiples of the noise, stand apart."""
+    """Fits whose parameters, or errors in multiples of the noise, are outliers."""
     out = []
     for name in fleet.parameters:
-        own: Any = fleet.told(name)
+        own: Any = fleet.identified(name)
         unit = fleet.unit(f"parameter.{name}")
         values, std = (own[c].to_numpy(float) for c in ("value", "std"))
         out += _apart(own["job"], values, np.nan_to_num(std), name, unit)
@@ -85,7 +85,7 @@ def _apart(
 
 @dataclass(frozen=True)
 class Drift:
-    """A parameter that goes with a label: change from the label's least to its most.
+    """A parameter that correlates with a label: change over the label's range.
 
     `change`, `low`, `high` (95 %) are Theil's and Sen's slope times that span, SI.
     """
@@ -111,7 +111,7 @@ def drifts(fleet: Fleet) -> list[Drift]:
         if column.dtype.kind not in "fM":
             continue
         for parameter in fleet.parameters:
-            own = fleet.told(parameter)
+            own = fleet.identified(parameter)
             own = own.assign(x=_numbers(column).reindex(own.index)).dropna(
                 subset=["value", "x"]
             )
@@ -147,7 +147,7 @@ def _numbers(column: pd.Series) -> pd.Series:
 
 @dataclass(frozen=True)
 class Found:
-    """How often an effect was found; `alike` are those it was not told from, if any."""
+    """How often an effect was found; `alike`: effects not distinguishable from it."""
 
     name: str
     jobs: int

@@ -61,7 +61,7 @@ def share_sweep(
         return
     done = 0
 
-    def hear(_: Unit) -> None:
+    def count_one(_: Unit) -> None:
         nonlocal done
         done += 1
         if progress:
@@ -70,7 +70,7 @@ def share_sweep(
     own_name = uuid.uuid4().hex  # the same arguments may come to mean another rig
     units = (Unit(own_name, whole, own, str(out.absolute()), *each) for each in left)
     with client(address) as found:
-        share_out(units, work_out, found, hear, lambda unit, _: unit)
+        share_out(units, work_out, found, count_one, lambda unit, _: unit)
 
 
 def work_out(unit: Unit) -> Unit:

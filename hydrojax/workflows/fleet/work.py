@@ -22,7 +22,7 @@ from hydrojax.rigfile.fingerprint import code_fingerprint
 from hydrojax.workflows.fleet.jobs import Command, Job, Jobs
 from hydrojax.workflows.fleet.store import Store
 
-FORMAT = "hydrojax-job/1"
+FORMAT = "hydrojax-job/2"
 
 SOLVER = "hydrojax.workflows.fleet.solve:solve"
 """What does a job, as `module:function` of a job with whole paths and the options."""
@@ -57,7 +57,7 @@ class Task(BaseModel):
 
 
 class Done(BaseModel):
-    """What a worker answers; the result itself is in the store.
+    """What a worker returns; the result itself is in the store.
 
     `memory` is the most bytes that its process has held.
     """
@@ -107,7 +107,7 @@ def _how(options: str, effects: tuple[str, ...]) -> Any:
     """A hash of how jobs are done, which every job's own begins with."""
     offered()
     known = {name: e for name, e in EFFECTS.items() if file_of(e) is None}
-    seen = hashlib.sha256(code_fingerprint(known).encode())
+    seen = hashlib.sha256(f"{FORMAT} {code_fingerprint(known)}".encode())
     seen.update(options.encode())
     for path in effects:
         seen.update(_content(path))
@@ -137,9 +137,9 @@ def _stamp(path: str) -> list[int]:
 def perform(task: Task) -> Done:
     """Do a job and store what came of it; a job that is done already is left alone.
 
-    A job that fails fails alone: its line is stored. `InputError` is final, unless a
-    file is not seen from here; what may pass (a disk, memory, a fault in the program)
-    is tried again by the next run.
+    A job that fails does not stop the others: its message is stored. An `InputError` is
+    final, unless a file cannot be found from here; other failures (a disk, memory, a
+    fault in the program) are tried again by the next run.
     """
     store = Store(Path(task.out))
     if store.has(task.key):

@@ -11,21 +11,21 @@ from hydrojax.workflows.fleet.work import Task, perform
 
 
 def main() -> None:
-    """Do tasks until nobody asks any more."""
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a library prints is no answer
-    asked: SimpleQueue[str] = SimpleQueue()
-    threading.Thread(target=_listen, args=(asked,), daemon=True).start()
+    """Do tasks until the input ends."""
+    results = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # keep what libraries print out of the results
+    tasks: SimpleQueue[str] = SimpleQueue()
+    threading.Thread(target=_listen, args=(tasks,), daemon=True).start()
     while True:
-        done = perform(Task.model_validate_json(asked.get()))
-        answers.write(done.model_dump_json() + "\n")
-        answers.flush()
+        done = perform(Task.model_validate_json(tasks.get()))
+        results.write(done.model_dump_json() + "\n")
+        results.flush()
 
 
-def _listen(asked: SimpleQueue[str]) -> None:
-    """Pass on what is asked; end at once, work under way or not, when who asks ends."""
+def _listen(tasks: SimpleQueue[str]) -> None:
+    """Pass tasks on; exit at once, even during a task, when the input ends."""
     for line in sys.stdin:
-        asked.put(line)
+        tasks.put(line)
     os._exit(0)
 
 
