@@ -98,7 +98,7 @@ def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
     loop = build_loop(spec, rig)
     again = rig_scenario(spec, loop, str(scenario), str(scenario), 60.0, seed=3)
     log = tmp_path / "log.csv"
-    recording.write_log(log, recording.columns(simulate_loop(loop, again), spec))
+    recording.write_log(log, recording.log_columns(simulate_loop(loop, again), spec))
     away = tmp_path / "away.toml"
     text = rig_file.read_text()
     for unit, value in FREE.values():
