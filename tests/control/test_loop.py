@@ -645,11 +645,11 @@ def test_41_the_epsilons_are_the_plants(falls):
 
 
 @pytest.mark.filterwarnings("ignore:a pressure left")
-def test_the_least_supply_is_the_least():
+def test_no_lower_supply_serves():
     """A little above it both pressures stay inside, a little below one leaves."""
     loop = make_bench_loop()
     scenario = make_scenario(desired(), MOTIONS["driven"], H, P_S, P_R)
-    least = theory.least_supply(loop, scenario)
+    least = theory.minimum_supply(loop, scenario)
     assert 1e6 < least < P_S
 
     def leaves(share):
@@ -668,10 +668,10 @@ def test_the_least_supply_is_the_least():
     assert leaves(0.95) > 0
 
 
-def test_the_least_supply_is_within_a_thousandth():
+def test_the_minimum_supply_is_within_a_thousandth():
     loop = make_bench_loop()
     scenario = make_scenario(desired(), MOTIONS["driven"], H, P_S, P_R)
-    least = theory.least_supply(loop, scenario)
+    least = theory.minimum_supply(loop, scenario)
     below = theory._stays(loop, scenario, jnp.asarray(least * np.full(12, 0.998)))
     assert not np.any(below)
 
@@ -685,7 +685,7 @@ def test_the_least_supply_is_within_a_thousandth():
         (P_R + 2e5, P_R + 3e5, math.inf),  # the return above it, for that sample
     ],
 )
-def test_the_least_supply_is_that_of_every_instant(
+def test_the_minimum_supply_is_that_of_every_instant(
     monkeypatch, chamber, low, back, want
 ):
     """Against pressures given by hand: 6 MPa but for a peak, and a dip elsewhere.
@@ -698,7 +698,7 @@ def test_the_least_supply_is_that_of_every_instant(
     scenario = scenario._replace(P_r=jnp.asarray(P_r))
     monkeypatch.setattr(theory, "run", lambda loop, scenario, keep: jnp.asarray(P))
     monkeypatch.setattr(theory, "_stays", inspect.unwrap(theory._stays))
-    least = theory.least_supply(make_bench_loop(), scenario)
+    least = theory.minimum_supply(make_bench_loop(), scenario)
     assert least == pytest.approx(want, rel=5e-3) and least >= want
 
 
