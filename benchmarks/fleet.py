@@ -65,7 +65,7 @@ def make_logs(folder: Path, count: int, lengths: int) -> Path:
         spec = RigFile.load(own)
         loop = build_loop(spec, None, {})
         scenario = rig_scenario(spec, loop, seconds=2 * SECONDS[1], seed=i)
-        columns = recording.columns(simulation.simulate_loop(loop, scenario), spec)
+        columns = recording.log_columns(simulation.simulate_loop(loop, scenario), spec)
         rows_of = {n: y for n, (_, y) in columns.items()}
         share = rng.integers(lengths) / (lengths - 1) if lengths > 1 else rng.uniform()
         length = int(1000 * (SECONDS[0] + share * (SECONDS[1] - SECONDS[0])))

@@ -89,7 +89,7 @@ def specs(module: type[eqx.Module] | eqx.Module) -> dict[str, Spec]:
     }
 
 
-def values(module: eqx.Module) -> dict[str, Array]:
+def values(module: eqx.Module) -> dict[str, Float[Array, ""]]:
     """The parameters of one Module, by field name."""
     return {name: getattr(module, name) for name in specs(module)}
 

@@ -16,7 +16,7 @@ from hydrojax.effects.valve import QUEUE
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.estimation.fit import (
-    Point,
+    FitPoint,
     fit_force,
     fit_jointly,
     fit_pressures,
@@ -34,7 +34,7 @@ from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncert
 from hydrojax.identify.results.closed_loop import check_loop
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.summary import summarise
-from hydrojax.identify.tracing.loop import trace
+from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
@@ -83,7 +83,7 @@ def _problems(
 
 def _fit_base(
     problem: Problem, free: tuple[str, ...], starts: int, progress: Progress, path: str
-) -> tuple[Problem, np.ndarray, Problem, Point]:
+) -> tuple[Problem, np.ndarray, Problem, FitPoint]:
     """Fit the declared model: where its pressures stood, and where all of it does.
 
     Raises:
@@ -172,7 +172,7 @@ def trace_case(
         replace(point, values=values),
         progress,
     )
-    state = trace(start)
+    state = search_effects(start)
     return _outcome("trace", case, state, point, began, compiled, progress, profile)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,13 +13,14 @@ from jaxtyping import Float
 
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
-from hydrojax.identify.preparation.data import Data, driver, prepare, runs_backward
+from hydrojax.identify.preparation.data import Data, driver, prepare_logs, runs_backward
 from hydrojax.identify.preparation.noise import channel_noise
 from hydrojax.identify.preparation.resolution import resolve
 from hydrojax.identify.preparation.segments import common_band
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import make_room
 from hydrojax.logs.log import Log
+from hydrojax.logs.signals import Channel
 from hydrojax.parameters import specs
 from hydrojax.rigfile.build import over_travel
 from hydrojax.rigfile.schema import RigFile
@@ -57,9 +58,9 @@ class Preparation:
         """Logs that take no part in the fit, made ready.
 
         Raises:
-            InputError: see `prepare`.
+            InputError: see `prepare_logs`.
         """
-        return prepare(
+        return prepare_logs(
             [self.smoothed(log) for log in logs],
             self.spec,
             self.horizon,
@@ -113,7 +114,8 @@ def open_case(
 ) -> Case:
     """Read a rig file and its logs.
 
-    A log that is a path or a table is read with the rig file's [channels].
+    A log that is a path or a table is read with the rig file's [channels]; a `Log`
+    must have been.
 
     Args:
         rig: the rig file.
@@ -149,13 +151,27 @@ def read(log: LogSource, spec: RigFile) -> Log:
     """A log of a rig, from wherever it is.
 
     Raises:
-        InputError: see `Log.load`.
+        InputError: see `Log.load`; or a `Log` that was read without the rig file's
+            [channels], so that signals may be missing or have the other sign.
     """
     if isinstance(log, Log):
+        applied = spec.channels if log.channels is None else log.channels
+        if lacking := _named(spec.channels) - _named(applied):
+            names = ", ".join(sorted(name for name, _ in lacking))
+            raise InputError(
+                f"{log.name}: read without [channels] {names} of {spec.path}: "
+                "read it with Log.load(path, rig.channels), or give its path in place "
+                "of the Log"
+            )
         return log
     if isinstance(log, pd.DataFrame):
         return Log.from_frame(log, channels=spec.channels)
     return Log.load(log, spec.channels)
+
+
+def _named(channels: Mapping[str, Channel]) -> set[tuple[str, Channel]]:
+    """The channels that are not simply the column of the signal's own name."""
+    return {(n, c) for n, c in channels.items() if c != Channel(column=n)}
 
 
 def _refuse_shared(*groups: Sequence[LogSource]) -> None:
@@ -218,7 +234,7 @@ def _prepared(
     noise = channel_noise(every, spec, driven_by)
 
     def ready(logs: Sequence[Log], noise: np.ndarray, sign: float = 1.0) -> Data:
-        return prepare(logs, spec, horizon, noise, sign, band, criteria)
+        return prepare_logs(logs, spec, horizon, noise, sign, band, criteria)
 
     fit = ready(fitted, noise)
     found = resolve(every, len(fitted), spec, fit, ready, criteria)

@@ -1,347 +1,227 @@
-"""The next experiment: a reference and a motion that tell what the logs did not.
+"""The next experiment: a reference and a motion that identify what the logs did not.
 
-What a log tells of the parameters is known before it is recorded, from the model: the
-information of the replay that `identify` would run on it. So amplitudes of sines in the
-desired force and in the motion are moved, by the gradient of that information through
-the closed loop and the replay, within the limits of the rig.
+The amplitudes of sines in the desired force and in the motion are moved along the
+gradient of the information in the log that they would give (`experiment`), within the
+limits of the rig.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 from scipy import optimize
 
 from hydrojax.control.loop import Loop, Scenario, run
-from hydrojax.control.simulation import PARTS
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
-from hydrojax.identify.estimation.columns import Batch, Model, basis, slot_names
-from hydrojax.identify.estimation.misfit import sums
+from hydrojax.identify.estimation.columns import ParametricRig
 from hydrojax.identify.estimation.problem import Free, free_parameters
-from hydrojax.identify.preparation.windows import LEAD, PRE, QUARTERS
+from hydrojax.identify.experiment import (
+    ENOUGH,
+    FORCE_HZ,
+    MOTION_HZ,
+    PENALTY,
+    ExcitationLimits,
+    Phases,
+    Setup,
+    Trajectory,
+    excess,
+    excitation,
+    information,
+    log_batch,
+    variances,
+    waves,
+)
 from hydrojax.parameters import parameter_specs, specs
-from hydrojax.plant.load import EnvironmentMotion
-from hydrojax.plant.replay import Motion, Windows
 from hydrojax.rigfile.build import build_loop, build_rig, over_travel
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.units import with_command
 
-FORCE_HZ = (0.1, 0.23, 0.5, 1.1, 2.3, 4.7, 9.0, 16.0, 27.0, 45.0)
-MOTION_HZ = (0.07, 0.13, 0.23, 0.41, 0.73, 1.3, 2.3)
-"""Frequencies of the sines whose amplitudes are found."""
-
-WINDOW = 250
-"""Ticks of a replay window."""
-
-SLACK = 0.05
-"""Share of the supply's range, and of the command's, that is to stay unused."""
-
-ENOUGH = 0.005
-"""Relative standard deviation below which a better one is worth little."""
-
-STERN = 1e4
-"""Weight of what leaves the rig's limits, mean square, against the log of a spread."""
-
-RIDGE = 1e-3
-"""Information that is taken for granted of each parameter, per scale squared: what no
-course can tell stays finite."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What the rig may be asked for: N, m/s, m from its middle, s."""
-
-    force: float = 800.0
-    speed: float = 0.025
-    travel: float = 0.02
-    seconds: float = 8.0
-
-
-class Waves(NamedTuple):
-    """Amplitudes [n] of the sines in force (N) and motion (m)."""
-
-    force: Array
-    motion: Array
-
 
 @dataclass(frozen=True)
 class Design:
-    """A course, and what it tells beside what an undesigned one does.
+    """A designed experiment, beside the one with all amplitudes as they start.
 
-    `t` [n] s, `F_d` [n] N, `x` [n] m; `before` and `after` are standard deviations by
-    parameter (SI), or for two effects the least strength that the course would show at
-    three standard deviations, the other effect and all parameters left free.
+    Attributes:
+        t: time, s.
+        F_d: desired force, N.
+        x: position of the piston, m.
+        before: standard deviation of each parameter in the undesigned experiment, SI;
+            for two effects the smallest strength that it would show at three standard
+            deviations, the other effect and all parameters free.
+        after: the same in the designed one.
+        units: of each parameter.
     """
 
-    t: np.ndarray
-    F_d: np.ndarray
-    x: np.ndarray
+    t: Float[np.ndarray, "ticks"]
+    F_d: Float[np.ndarray, "ticks"]
+    x: Float[np.ndarray, "ticks"]
     before: dict[str, float]
     after: dict[str, float]
     units: dict[str, str]
 
 
-class _Question(NamedTuple):
-    """What is asked: the model, its values, columns, and those that matter."""
-
-    model: Model
-    values: Array
-    names: tuple[str, ...]
-    wanted: tuple[str, ...]
-    h: float
-    P_r: float
-    P_s: float
-
-
-def _share(logits: Array) -> Array:
-    """Positive shares that sum to less than one."""
-    return jax.nn.softmax(jnp.append(logits, -2.0))[:-1]
-
-
-def waves(design: Array, limits: Limits) -> Waves:
-    """Amplitudes from logits: at any phases they keep force, speed and travel."""
-    n = len(FORCE_HZ)
-    w = 2 * jnp.pi * jnp.array(MOTION_HZ)
-    speed = _share(design[n:])
-    reach = jnp.maximum(
-        jnp.sum(speed) / limits.speed, jnp.sum(speed / w) / limits.travel
-    )
-    return Waves(limits.force * _share(design[:n]), speed / w / reach)
-
-
-def _scenario(
-    at: Waves, phases: tuple[np.ndarray, np.ndarray], n: int, q: _Question
-) -> tuple[Scenario, Callable[[Array, int], Array]]:
-    """The course of some amplitudes, without noise, and its motion."""
-    w_F = 2 * np.pi * np.array(FORCE_HZ)
-    w_x = 2 * np.pi * np.array(MOTION_HZ)
-
-    def path(t, nu):
-        angle = jnp.multiply(t[..., None], w_x) + phases[1] + nu * np.pi / 2
-        return jnp.sum(at.motion * w_x**nu * jnp.sin(angle), axis=-1)
-
-    t = jnp.arange(n) * q.h
-    F_d = jnp.sum(at.force * jnp.sin(t[:, None] * w_F + phases[0]), axis=-1)
-    part = np.arange(PARTS)[:, None] + np.array([0.0, 0.5, 1.0])
-    halves = t[:, None, None] + q.h / PARTS * part
-    environment = EnvironmentMotion(
-        path(halves, 0), path(halves[..., 2], 1), path(halves[..., 2], 2)
-    )
-    flat = jnp.ones((n, 2))
-    return Scenario(
-        t, F_d, jnp.zeros((n, 4)), q.P_s * flat, q.P_r * flat, environment
-    ), path
-
-
-def _batch(
-    table: Array, path: Callable, noise: np.ndarray, supply: float, q: _Question
-) -> Batch:
-    """What `identify` would make of a run's log; `table` [n, 4]: u, P_a1, P_a2, F."""
-    n = table.shape[0]
-    t = jnp.arange(n) * q.h
-    first = np.arange(PRE, n - LEAD - WINDOW, WINDOW)
-    index = first[:, None] + np.arange(LEAD + WINDOW)
-    quarters = t[:-1, None] + q.h * np.arange(QUARTERS + 1) / QUARTERS
-    fine = t[index[:, :-1]][..., None] + q.h * np.array([0.0, 0.5, 1.0])
-    like = jnp.ones(index.shape)
-    windows = Windows(
-        seg=jnp.zeros(len(first), int),
-        first=jnp.asarray(first),
-        before=table[first[:, None] - PRE + np.arange(PRE), 0],
-        before_h=q.h * jnp.ones((len(first), PRE)),
-        u=table[index, 0],
-        h=q.h * like,
-        P_s=q.P_s * like,
-        P_r=q.P_r * like,
-        t=t[index],
-        x=path(t[index], 0),
-        v=path(t[index], 1),
-        a=path(t[index], 2),
-        F=table[index, 3],
-        x_fine=path(fine, 0),
-        P_a1=table[index, 1],
-        P_a2=table[index, 2],
-        measured=jnp.zeros((len(first), WINDOW, 3)),
-    )
-    dx = jnp.diff(path(quarters, 0), axis=1)[None]
-    v = path(t, 1)[None]
-    ticks = q.h * jnp.ones((1, n - 1))
-    motion = Motion(dx, ticks, jnp.abs(v[:, 0]), v, table[None, :, 3])
-    return Batch(
-        motion,
-        windows,
-        table[first, 1:3],
-        jnp.asarray(noise),
-        jnp.asarray(supply),
-        jnp.ones(len(first)),
-    )
-
-
-def _information(q: _Question, batch: Batch) -> tuple[Array, list[str]]:
-    """Information matrix of the columns, per scale, and their names in its order."""
-    first = sum(q.model.names.index(n) < q.model.hydraulic for n in q.names)
-    slots = (first, len(q.names) - first)
-    directions = basis(q.model, q.names, slots)
-    gram = sums(q.model, q.values, directions, batch, True).gram
-    order = [n for n in slot_names(q.model, q.names, slots) if n is not None]
-    total = jnp.sum(gram, axis=0)[:-1, :-1]
-    return total + RIDGE * jnp.eye(len(order)), order
-
-
-def _spreads(information: Array, order: list[str], wanted: Sequence[str]) -> Array:
-    """Variance of each wanted parameter, all others free, in scales."""
-    variance = jnp.diag(jnp.linalg.inv(information))
-    return variance[np.array([order.index(n) for n in wanted])]
-
-
-def _outside(table: Array, loop: Loop, q: _Question, force: float) -> Array:
-    """How far pressures, command and force leave what they may use; 0 inside."""
-    room = SLACK * (q.P_s - q.P_r)
-    low, high = q.P_r + room - table[:, 1:3], table[:, 1:3] - (q.P_s - room)
-    full = jnp.abs(table[:, :1]) / loop.law.u_max - (1 - SLACK)
-    # Beyond the loop's resonance the force is larger than what was asked for.
-    strong = jnp.abs(table[:, 3:]) / force - 1
-    over = jnp.concatenate([low / q.P_s, high / q.P_s, full, strong], axis=1)
-    return jnp.mean(jnp.maximum(over, 0.0) ** 2)
-
-
 def design(
     spec: RigFile,
-    limits: Limits = Limits(),
+    limits: ExcitationLimits = ExcitationLimits(),
     separate: Sequence[str] = (),
     seed: int = 0,
     steps: int = 15,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
-    """Find the course that best identifies a rig, or best tells two effects apart.
+    """Find the experiment that best identifies a rig, or best separates two effects.
 
     Args:
-        spec: a fitted rig; what has a range is what is to be identified.
-        limits: what it may be asked for.
-        separate: two effects to be told apart, if that is the question.
+        spec: a fitted rig; its parameters with a range are those to be identified.
+        limits: what the excitation keeps.
+        separate: two effects to be distinguished, in place of the parameters.
         seed: of the phases.
         steps: of the gradient descent, at most.
         progress: called with a line of text as the design proceeds.
 
     Raises:
-        InputError: nothing is to be found, an unknown effect, or no noise given.
+        InputError: no parameter has a range, an unknown effect, or no noise given.
     """
     for name in separate:
         if name not in EFFECTS:
             raise InputError(
                 f"--separate {name!r}: known effects: {', '.join(EFFECTS)}"
             )
-    asked = ask(spec, limits, separate, seed)
-    # Forward mode: fewer directions than a run has samples, and nothing to store.
-    both = jax.jit(lambda at: (asked.cost(at), jax.jacfwd(asked.cost)(at)))
+    problem = design_problem(spec, limits, separate, seed)
     start = np.zeros(len(FORCE_HZ) + len(MOTION_HZ))
-    last = [0]
-
-    def evaluate(at):
-        value, slope = both(jnp.asarray(at))
-        last[0] += 1
-        progress(
-            f"try {last[0]}: mean relative spread {100 * np.exp(float(value)):.3g} %"
-        )
-        return float(value), np.asarray(slope)
-
-    found = optimize.minimize(
-        evaluate, start, jac=True, method="L-BFGS-B",
-        bounds=[(-8.0, 8.0)] * start.size,
-        options={"maxiter": steps, "maxfun": 2 * steps, "ftol": 1e-4},
-    )  # fmt: skip
-    seen = jax.jit(asked.spreads)
+    best = _minimised(problem, start, steps, progress)
+    spreads = jax.jit(problem.spreads)
     times = 3.0 if separate else 1.0
+    wanted = problem.setup.wanted
 
     def sizes(at):
-        each = times * np.asarray(seen(jnp.asarray(at))) * asked.scale
-        return dict(zip(asked.q.wanted, each.tolist(), strict=True))
+        each = times * np.asarray(spreads(jnp.asarray(at))) * problem.scale
+        return dict(zip(wanted, each.tolist(), strict=True))
 
-    scenario, path = asked.scenario(jnp.asarray(found.x))
-    known = parameter_specs(asked.q.model.rig)
+    scenario, path = problem.scenario(jnp.asarray(best))
+    known = parameter_specs(problem.setup.model.rig)
     return Design(
         t=np.asarray(scenario.t),
         F_d=np.asarray(scenario.F_d),
         x=np.asarray(path(scenario.t, 0)),
         before=sizes(start),
-        after=sizes(found.x),
-        units={
-            name: with_command(known[name].unit, spec.command_unit)
-            for name in asked.q.wanted
-        },
+        after=sizes(best),
+        units={n: with_command(known[n].unit, spec.command_unit) for n in wanted},
     )
+
+
+def _minimised(
+    problem: DesignProblem,
+    start: np.ndarray,
+    steps: int,
+    progress: Callable[[str], None],
+) -> np.ndarray:
+    """The logits of the lowest cost that a gradient descent from `start` finds."""
+    # Forward mode: fewer directions than a run has samples, and nothing to store.
+    both = jax.jit(lambda at: (problem.cost(at), jax.jacfwd(problem.cost)(at)))
+    done = [0]
+
+    def evaluate(at):
+        value, slope = both(jnp.asarray(at))
+        done[0] += 1
+        percent = 100 * np.exp(float(value))
+        progress(f"try {done[0]}: mean relative standard deviation {percent:.3g} %")
+        return float(value), np.asarray(slope)
+
+    return optimize.minimize(
+        evaluate, start, jac=True, method="L-BFGS-B",
+        bounds=[(-8.0, 8.0)] * start.size,
+        options={"maxiter": steps, "maxfun": 2 * steps, "ftol": 1e-4},
+    ).x  # fmt: skip
 
 
 @dataclass(frozen=True)
 class DesignProblem:
-    """What a course tells, as functions of its logits (`waves`)."""
+    """The information of an experiment, as functions of its logits (see `waves`).
 
-    q: _Question
+    Attributes:
+        setup: the model and the parameters of interest.
+        loop: the rig in closed loop.
+        limits: what the excitation keeps.
+        phases: of the sines in force and in motion, rad.
+        noise: standard deviations of P_a1, P_a2 (Pa) and F (N).
+        supply: standard deviation of the measured supply pressure, Pa.
+    """
+
+    setup: Setup
     loop: Loop
-    limits: Limits
-    phases: tuple[np.ndarray, np.ndarray]
-    noise: np.ndarray
+    limits: ExcitationLimits
+    phases: Phases
+    noise: Float[np.ndarray, "3"]
     supply: float
 
     @property
-    def scale(self) -> np.ndarray:
-        """What one unit of a spread is for each wanted parameter, SI."""
-        every = dict(zip(self.q.model.names, self.q.model.scale, strict=True))
-        return np.array([every[n] for n in self.q.wanted])
+    def scale(self) -> Float[np.ndarray, "wanted"]:
+        """The scale of each parameter of interest, SI: the unit of `spreads`."""
+        every = dict(zip(self.setup.model.names, self.setup.model.scale, strict=True))
+        return np.array([every[n] for n in self.setup.wanted])
 
-    def scenario(self, at: Array) -> tuple[Scenario, Callable[[Array, int], Array]]:
-        """The course of some logits, without noise, and its motion."""
-        n = round(self.limits.seconds / self.q.h)
-        return _scenario(waves(at, self.limits), self.phases, n, self.q)
+    def scenario(self, at: Float[Array, "logits"]) -> tuple[Scenario, Trajectory]:
+        """The scenario at these logits, without noise, and its motion."""
+        n = round(self.limits.seconds / self.setup.h)
+        return excitation(waves(at, self.limits), self.phases, n, self.setup)
 
-    def look(self, at: Array) -> tuple[Array, Array]:
-        """Standard deviations of what is wanted, in scales, and what is overstepped."""
+    def evaluate(
+        self, at: Float[Array, "logits"]
+    ) -> tuple[Float[Array, "wanted"], Float[Array, ""]]:
+        """Standard deviations in units of `scale`, and the excess over the limits."""
         scenario, path = self.scenario(at)
         table = run(self.loop, scenario, ("u", "true_P_a1", "true_P_a2", "true_F"))
-        batch = _batch(table, path, self.noise, self.supply, self.q)
-        information, order = _information(self.q, batch)
-        over = _outside(table, self.loop, self.q, self.limits.force)
-        return jnp.sqrt(_spreads(information, order, self.q.wanted)), over
+        batch = log_batch(table, path, self.noise, self.supply, self.setup)
+        gram, order = information(self.setup, batch)
+        over = excess(table, self.loop, self.setup, self.limits.force)
+        return jnp.sqrt(variances(gram, order, self.setup.wanted)), over
 
-    def spreads(self, at: Array) -> Array:
-        """The first of `look`."""
-        return self.look(at)[0]
+    def spreads(self, at: Float[Array, "logits"]) -> Float[Array, "wanted"]:
+        """Standard deviations of the parameters of interest, in units of `scale`."""
+        return self.evaluate(at)[0]
 
-    def cost(self, at: Array) -> Array:
-        """Mean log of the relative spreads, with what is overstepped."""
-        values = [
-            abs(self.q.values[self.q.model.names.index(n)]) for n in self.q.wanted
-        ]
+    def cost(self, at: Float[Array, "logits"]) -> Float[Array, ""]:
+        """Mean log of the relative standard deviations, with the limits' penalty."""
+        names = self.setup.model.names
+        values = [abs(self.setup.values[names.index(n)]) for n in self.setup.wanted]
         # A strength that is zero counts as a tenth of its scale.
         size = jnp.maximum(jnp.stack(values) / self.scale, 0.1)
-        spread, over = self.look(at)
-        return jnp.mean(jnp.log(spread / size + ENOUGH)) + STERN * over
+        spread, over = self.evaluate(at)
+        return jnp.mean(jnp.log(spread / size + ENOUGH)) + PENALTY * over
 
 
-def ask(
-    spec: RigFile, limits: Limits, separate: Sequence[str] = (), seed: int = 0
+def design_problem(
+    spec: RigFile, limits: ExcitationLimits, separate: Sequence[str] = (), seed: int = 0
 ) -> DesignProblem:
-    """What `design` improves; see there."""
+    """The problem that `design` solves; see there for the arguments.
+
+    Raises:
+        InputError: no parameter has a range, or a sensor's noise is not given.
+    """
     rng = np.random.default_rng(seed)
     phases = (
         rng.uniform(0, 2 * np.pi, len(FORCE_HZ)),
         rng.uniform(0, 2 * np.pi, len(MOTION_HZ)),
     )
-    q, loop, noise, supply = _question(spec, free_parameters(spec), separate, limits)
-    return DesignProblem(q, loop, limits, phases, noise, supply)
+    setup, loop, noise, supply = _setup_of(
+        spec, free_parameters(spec), separate, limits
+    )
+    return DesignProblem(setup, loop, limits, phases, noise, supply)
 
 
-def _question(
-    spec: RigFile, free: dict[str, Free], separate: Sequence[str], limits: Limits
-) -> tuple[_Question, Loop, np.ndarray, float]:
+def _setup_of(
+    spec: RigFile,
+    free: Mapping[str, Free],
+    separate: Sequence[str],
+    limits: ExcitationLimits,
+) -> tuple[Setup, Loop, np.ndarray, float]:
     if not free and not separate:
         raise InputError(
             f"{spec.path}: nothing to identify: give at least one parameter a range"
@@ -350,11 +230,11 @@ def _question(
     if lacking:
         raise InputError(
             f"{spec.path}: [sensors] lacks the noise of {', '.join(sorted(lacking))}: "
-            "what a log would tell depends on it"
+            "what a log would identify depends on it"
         )
     spec = over_travel(spec, (-limits.travel, limits.travel))
     rig = build_rig(spec, separate)
-    model = Model.of(rig)
+    model = ParametricRig.of(rig)
     wanted = tuple(free)
     if separate:
         wanted = tuple(
@@ -365,7 +245,7 @@ def _question(
         )
     loop = build_loop(spec, build_rig(spec))
     names = tuple(dict.fromkeys((*free, *wanted)))
-    q = _Question(
+    setup = Setup(
         model,
         model.values,
         names,
@@ -376,4 +256,4 @@ def _question(
     )
     noise = np.array([spec.sensors[c] for c in ("P_a1", "P_a2", "F")])
     step = eqx.tree_at(lambda lo: lo.sensors.step, loop, jnp.zeros(()))
-    return q, step, noise, spec.sensors.get("P_s", 0.0)
+    return setup, step, noise, spec.sensors.get("P_s", 0.0)

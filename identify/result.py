@@ -17,7 +17,7 @@ from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.report.figures import every_parameter, judged
 from hydrojax.identify.report.write import write_report
 from hydrojax.identify.results import show
-from hydrojax.identify.results.outcome import Effect, Outcome
+from hydrojax.identify.results.outcome import FoundEffect, Outcome
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_rig
@@ -42,7 +42,7 @@ class Result:
         return self.outcome.verdict
 
     @property
-    def effects(self) -> tuple[Effect, ...]:
+    def effects(self) -> tuple[FoundEffect, ...]:
         """The effects that the model lacked, in the order in which they were found."""
         return self.outcome.effects
 
@@ -185,7 +185,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        return show.html(self.outcome)
+        return show.result_html(self.outcome)
 
 
 def _wrapped(lines: list[str], width: int) -> str:

@@ -14,9 +14,8 @@ import pytest
 from hydrojax import jax_setup
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
-from hydrojax.identify.estimation.columns import Model, basis
-from hydrojax.identify.estimation.misfit import sums
-from hydrojax.identify.estimation.problem import filled
+from hydrojax.identify.estimation.columns import ParametricRig, basis
+from hydrojax.identify.estimation.misfit import filled, sums
 
 LOOP = """
 import jax, jax.numpy as jnp
@@ -99,7 +98,7 @@ def test_windows_that_fill_up_change_nothing(recorded, tmp_path):
         assert np.allclose(got, want, rtol=1e-9, atol=1e-9 * np.max(np.abs(want)))
 
 
-def _every(model: Model) -> tuple[int, int]:
+def _every(model: ParametricRig) -> tuple[int, int]:
     return model.hydraulic, len(model.names) - model.hydraulic
 
 

@@ -21,8 +21,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from hydrojax.control.adaptive import Estimates, Law, truth
-from hydrojax.control.base import within
+from hydrojax.control.adaptive import Law, truth
+from hydrojax.control.base import clamp
+from hydrojax.control.estimates import Estimates
 from hydrojax.control.loop import Loop, Scenario, begin, step
 from hydrojax.control.simulation import PARTS
 from hydrojax.plant.load import Driven, EnvironmentMotion
@@ -49,7 +50,7 @@ def estimates(loop: Loop, adapted: bool = True) -> Estimates:
 
     def one(true, lower, upper, rate):
         middle = (lower + upper) / 2
-        return jnp.where(rate > 0, within(true, lower, upper), middle) if adapted else (
+        return jnp.where(rate > 0, clamp(true, lower, upper), middle) if adapted else (
             middle
         )  # fmt: skip
 

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hydrojax.control.adaptive import Estimates, mean_area
+from hydrojax.control.adaptive import mean_area
+from hydrojax.control.estimates import Estimates
 from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import PARTS
 from hydrojax.effects.valve import QUEUE, ValveDelay, ValveLag

@@ -106,7 +106,7 @@ def demo(out: Out = Path("hydrojax-demo")) -> None:
 
 def _finish(result: Result, out: Path) -> None:
     """Write the report and print its summary."""
-    from hydrojax.report.text import quantity
+    from hydrojax.report.text import quantity_text
 
     outcome = result.outcome
     result.save(out)
@@ -116,13 +116,13 @@ def _finish(result: Result, out: Path) -> None:
     for name, c in outcome.channels.items():
         table.add_row(
             name,
-            *(quantity(v, c.unit) for v in (c.noise, c.before, c.after)),
+            *(quantity_text(v, c.unit) for v in (c.noise, c.before, c.after)),
             f"{c.after / c.noise:.3f}",
         )
     console.print(table)
     for effect in outcome.effects:
         found = ", ".join(
-            f"{n} = {quantity(p.value, p.unit, p.std)}"
+            f"{n} = {quantity_text(p.value, p.unit, p.std)}"
             for n, p in effect.parameters.items()
         )
         alike = (

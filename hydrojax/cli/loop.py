@@ -108,8 +108,9 @@ def excite(
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import units
-    from hydrojax.identify.design import Limits, design
-    from hydrojax.report.text import quantity
+    from hydrojax.identify.design import design
+    from hydrojax.identify.experiment import ExcitationLimits
+    from hydrojax.report.text import quantity_text
     from hydrojax.rigfile import recording
     from hydrojax.rigfile.schema import RigFile
 
@@ -127,17 +128,21 @@ def excite(
     if min(most) <= 0:
         raise InputError("--force, --speed and --travel must be above 0")
     with show_progress() as progress:
-        found = design(spec, Limits(*most, seconds=seconds), both, progress=progress)
+        limits = ExcitationLimits(*most, seconds=seconds)
+        found = design(spec, limits, both, progress=progress)
     recording.write_log(
         out, recording.scenario_columns(found.t, found.F_d, found.x, spec)
     )
-    what = "least size shown" if both else "standard deviation"
+    what = "smallest size shown" if both else "standard deviation"
     table = Table(what, "undesigned", "designed", "times better")
     for name, before in found.before.items():
         unit = found.units[name]
         after = found.after[name]
         table.add_row(
-            name, quantity(before, unit), quantity(after, unit), f"{before / after:.2g}"
+            name,
+            quantity_text(before, unit),
+            quantity_text(after, unit),
+            f"{before / after:.2g}",
         )
     console.print(table)
     console.print(f"reference and motion in {out}: simulate --reference and --motion")
@@ -222,8 +227,8 @@ def paper(out: Out = Path("hydrojax-paper")) -> None:
         f"{edge['within_1dB_to_Hz_sines']:.1f} Hz by sines\n"
         f"W (31) rises by at most {content['lyapunov']['largest_rise']:.2g} of its "
         "start\n"
-        f"least supply {content['supply']['least_P_s_Pa'] / 1e6:.2f} MPa; (42) asks "
-        f"for {content['supply']['condition_42_Pa'] / 1e6:.1f} MPa\n"
+        f"minimum supply {content['supply']['least_P_s_Pa'] / 1e6:.2f} MPa; (42) "
+        f"requires {content['supply']['condition_42_Pa'] / 1e6:.1f} MPa\n"
         f"without friction model {content['ablation']['rms_N']:.3g} N, full law "
         f"{content['ablation']['full_law_rms_N']:.3g} N\n"
         f"pictures and paper.json in {out}"

@@ -7,7 +7,6 @@ nominal valve gain once.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import jax
@@ -16,11 +15,11 @@ from jaxtyping import Array, Float
 
 from hydrojax.control.base import (
     AbstractController,
-    Gain,
     Measured,
+    clamp,
     gain,
-    within,
 )
+from hydrojax.control.estimates import Estimates
 from hydrojax.plant.friction import Theta
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.valve import metering_edges
@@ -28,62 +27,6 @@ from hydrojax.plant.valve import metering_edges
 LEAST_DROP = 1e4
 """Pressure drop (Pa) below which (18) is inverted as if there were this much: the
 measured pressure may touch P_s or P_r, where the valve's gain vanishes."""
-
-
-class Estimates(NamedTuple):
-    """One value for each estimate: 1/beta of (28), A_a of (29), theta_f of (30)."""
-
-    k_1: Float[Array, "*batch"]
-    A_a: Float[Array, "*batch"]
-    k_cp: Float[Array, "*batch"]
-    k_cn: Float[Array, "*batch"]
-    k_0: Float[Array, "*batch"]
-    k_vp: Float[Array, "*batch"]
-    k_vn: Float[Array, "*batch"]
-    k_fp: Float[Array, "*batch"]
-    k_fn: Float[Array, "*batch"]
-
-    @property
-    def theta_f(self) -> Theta:
-        """The last seven: friction's."""
-        return Theta(*self[2:])
-
-
-def _table(
-    *rows: tuple[str, str, str, str, bool],
-) -> dict[str, Gain]:
-    """Declarations of values that are kept in an `Estimates`."""
-    return {
-        name: Gain(unit, 0.0, -math.inf, math.inf, text, written=written, volts=volts)
-        for name, unit, written, text, volts in rows
-    }
-
-
-RATES = _table(
-    ("rho_1", "m^2/N^3", "V*s/kN^3", "rate of adapting k_1", True),
-    ("rho_a", "m^2/N", "V*s/kN", "rate of adapting A_a", True),
-    ("c_1", "1/s", "1/s", "rate of adapting k_cp", False),
-    ("c_2", "1/s", "1/s", "rate of adapting k_cn", False),
-    ("c_3", "1/s", "1/s", "rate of adapting k_0", False),
-    ("c_4", "s/m^2", "s/m^2", "rate of adapting k_vp", False),
-    ("c_5", "s/m^2", "s/m^2", "rate of adapting k_vn", False),
-    ("c_6", "1/(s*N^2)", "1/(s*kN^2)", "rate of adapting k_fp", False),
-    ("c_7", "1/(s*N^2)", "1/(s*kN^2)", "rate of adapting k_fn", False),
-)
-"""The rates of adaptation, by the paper's names, in the order of `Estimates`."""
-
-ESTIMATES = _table(
-    ("k_1", "1/Pa", "V*s/kN", "1/beta as the law has it", True),
-    ("A_a", "m^2", "V*s", "area as the law has it", True),
-    ("k_cp", "N", "kN", "Coulomb level, v > 0", False),
-    ("k_cn", "N", "kN", "Coulomb level, v < 0", False),
-    ("k_0", "N", "kN", "constant offset", False),
-    ("k_vp", "N*s/m", "kN*s/m", "fall with speed, v > 0", False),
-    ("k_vn", "N*s/m", "kN*s/m", "fall with speed, v < 0", False),
-    ("k_fp", "1", "1", "presliding, F > 0", False),
-    ("k_fn", "1", "1", "presliding, F < 0", False),
-)
-"""The estimates, by the paper's names, in the order of `Estimates`."""
 
 
 class Memory(NamedTuple):
@@ -110,7 +53,7 @@ class ControllerSignals(NamedTuple):
 
 
 class Law(AbstractController):
-    """The controller: gains, adaptation, and the rig as it is believed to be.
+    """The controller: gains, adaptation, and the nominal rig.
 
     An estimate starts midway between its bounds. It is adapted where its rate is
     above zero, frozen where the rate is zero, and off where both bounds are zero.
@@ -121,7 +64,7 @@ class Law(AbstractController):
         k_p, k_f: m^2/(s N).
         rate: rho_1, rho_a, c_1 ... c_7 of (28)-(30), SI.
         lower, upper: the bounds of the nine estimates, SI.
-        P_r: return pressure as believed, Pa.
+        P_r: nominal return pressure, Pa.
         u_max: where the command saturates, V or 1.
         tau_d: time constant of the filtered difference that stands for the rate of
             P_d, s; 0 is the plain difference.
@@ -259,7 +202,7 @@ class Law(AbstractController):
         down = w_1 * c.c_n1 * root(measured.P_a1 - self.P_r) / x_1
         down = down + w_2 * c.c_p2 * root(measured.P_s - measured.P_a2) / x_2
         u = -virtual / jnp.where(virtual < 0, up, down)
-        return within(u, -self.u_max, self.u_max)
+        return clamp(u, -self.u_max, self.u_max)
 
     def _pushing(self) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         """How much of each chamber's pressure reaches P: 1, or 0 where it is open."""
@@ -310,4 +253,4 @@ def project(
     kappa is 0 where theta is at a bound and s points outward: the bound itself is then
     the step's end, and a step that would cross one ends on it.
     """
-    return within(theta + h * rate * s, lower, upper)
+    return clamp(theta + h * rate * s, lower, upper)

@@ -96,7 +96,7 @@ class AbstractController(eqx.Module):
         """
 
 
-def within(
+def clamp(
     value: Float[Array, "*batch"],
     lower: Float[Array, "*batch"],
     upper: Float[Array, "*batch"],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.control.base import AbstractController, Measured, within
+from hydrojax.control.base import AbstractController, Measured, clamp
 from hydrojax.parameters import param
 
 
@@ -40,4 +40,4 @@ class PIController(AbstractController):
         integral = memory + h * error
         u = -(self.k_p * error + self.k_i * integral)
         memory = jnp.where(jnp.abs(u) < self.u_max, integral, memory)
-        return memory, within(u, -self.u_max, self.u_max), {"error": error}
+        return memory, clamp(u, -self.u_max, self.u_max), {"error": error}

@@ -46,8 +46,7 @@ class Sensors(eqx.Module):
 def quantise(x: Float[Array, "..."], step: Float[Array, "..."]) -> Float[Array, "..."]:
     """`x` rounded to multiples of `step` (0: as it is), with the derivative of `x`.
 
-    The rounding's own derivative is nothing almost everywhere, which says nothing
-    about the position behind it.
+    The derivative of the rounding itself is zero almost everywhere.
     """
     size = jnp.where(step > 0, step, 1.0)
     rounded = jnp.where(step > 0, jnp.round(x / size) * size, x)
@@ -90,8 +89,8 @@ class _Carry(NamedTuple):
     law: Any
     gauges: tuple[
         Float[Array, ""], Float[Array, ""]
-    ]  # what the pressure sensors say, before noise
-    cell: Float[Array, ""]  # what the load cell says, before noise
+    ]  # the gauges' readings, before noise
+    cell: Float[Array, ""]  # the load cell's reading, before noise
     F: Float[Array, ""]
 
 

@@ -1,4 +1,4 @@
-"""A closed-loop run from numbers: its course, the run, and what to know of it."""
+"""A closed-loop run from numbers: the scenario, the run, and warnings about it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _run = eqx.filter_jit(run)
 class Run:
     """A closed-loop run: `signals` by name, each [N], at times `t` [N]; SI.
 
-    `leaves` says of each chamber in how many samples its pressure was outside
+    `leaves` is, for each chamber, the number of samples with its pressure outside
     (P_r, P_s), where (20)(21) and all that rests on them no longer hold; `ends` in how
     many the piston was beyond a chamber's end.
     """
@@ -52,9 +52,9 @@ class Run:
         return not bool(finite and np.all(most > P))
 
     def warning(self) -> str:
-        """What to know before this run is believed, or nothing."""
+        """What limits the validity of this run, or an empty text."""
         if self.diverged:
-            return "the closed loop diverges; lower the gains, or mend the rig"
+            return "the closed loop diverges; lower the gains, or correct the rig file"
         if self.ends:
             return (
                 f"the piston was beyond a chamber's end in {self.ends} of "
@@ -117,7 +117,7 @@ def make_scenario(
     seed: int | None = None,
     parts: int = PARTS,
 ) -> Scenario:
-    """A course of as many samples as `F_d` [N] has, every `h` seconds; SI.
+    """A scenario of as many samples as `F_d` [N] has, every `h` seconds; SI.
 
     Args:
         F_d: desired force, N.

@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.control.adaptive import Estimates, adaptive_law, mean_area, truth
+from hydrojax.control.adaptive import adaptive_law, mean_area, truth
+from hydrojax.control.estimates import Estimates
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.control.simulation import Run
 from hydrojax.plant.valve import metering_edges
 
 ROUNDS, LANES = 4, 12
-"""Rounds of the search for the least supply pressure, and runs side by side in each."""
+"""Rounds of the search for the minimum supply pressure, and runs in each."""
 
 
 def _drive_force(loop: Loop, run: Run) -> Float[np.ndarray, "samples"]:
@@ -56,21 +57,21 @@ def lyapunov_bound(loop: Loop, run: Run) -> Float[np.ndarray, "samples"]:
 
 
 def largest_rise(W: Float[np.ndarray, "samples"]) -> float:
-    """The most that W climbs above its least value so far, as a share of its first."""
+    """The largest rise of W [N^2/Pa] above its running minimum, per its first value."""
     return float(np.max(W - np.minimum.accumulate(W)) / W[0])
 
 
 class Supply(NamedTuple):
-    """The least supply pressure of a run, Pa.
+    """The minimum supply pressure of a run, Pa.
 
     Attributes:
-        least: found by running the loop: with less, a pressure leaves (P_r, P_s).
+        minimum: found by running the loop: with less, a pressure leaves (P_r, P_s).
         condition: the right-hand side of (42), met at the samples with a command of
             at least a tenth of its largest: as the command goes to zero, so do the
             epsilons, and the printed bound has no finite value.
     """
 
-    least: float
+    minimum: float
     condition: float
 
 
@@ -122,10 +123,10 @@ def _stays(loop: Loop, scenario: Scenario, P_s: jax.Array) -> jax.Array:
     return jax.vmap(one)(P_s)
 
 
-def least_supply(loop: Loop, scenario: Scenario) -> float:
-    """The least supply pressure, Pa, that keeps (20)(21) along a run, within 0.1 %.
+def minimum_supply(loop: Loop, scenario: Scenario) -> float:
+    """The minimum supply pressure, Pa, that keeps (20)(21) along a run, within 0.1 %.
 
-    Returns inf if even four times the course's own does not.
+    Returns inf if even four times the scenario's own does not.
     """
     low, high = float(scenario.P_r[0, 0]), 4 * float(scenario.P_s[0, 0])
     for _ in range(ROUNDS):
@@ -141,5 +142,5 @@ def least_supply(loop: Loop, scenario: Scenario) -> float:
 
 
 def supply(loop: Loop, scenario: Scenario, out: Run) -> Supply:
-    """The least supply pressure of a run, found and as (42) bounds it."""
-    return Supply(least_supply(loop, scenario), supply_condition(loop, scenario, out))
+    """The minimum supply pressure of a run, found and as (42) bounds it."""
+    return Supply(minimum_supply(loop, scenario), supply_condition(loop, scenario, out))

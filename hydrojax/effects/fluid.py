@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.parameters import param
 from hydrojax.plant.effect import (
@@ -22,11 +22,13 @@ class SupplyLineDrop(SupplyEffect):
 
     name = "supply_line_drop"
     residual_axis = "abs(u)"
-    k_s: Array = param(
+    k_s: Float[Array, ""] = param(
         "Pa*s^2/m^6", 0.0, 0.0, 1e18, "line loss", strength=True, size=2e13
     )
 
-    def drop(self, conductance: Array, available: Array) -> Array:
+    def drop(
+        self, conductance: Float[Array, "*batch"], available: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
         """Pressure lost when `conductance sqrt(.)` draws on `available`, Pa."""
         load = self.k_s * conductance**2
         return available * load / (1 + load)
@@ -37,7 +39,7 @@ class InternalLeakage(FlowEffect):
 
     name = "internal_leakage"
     residual_axis = "P_a1 - P_a2"
-    c_il: Array = param(
+    c_il: Float[Array, ""] = param(
         "m^3/(s*Pa)", 0.0, 0.0, 1e-9, "leakage", strength=True, size=2e-13
     )
 
@@ -51,7 +53,7 @@ class ExternalLeakage(FlowEffect):
 
     name = "external_leakage"
     residual_axis = "P_a1 + P_a2"
-    c_el: Array = param(
+    c_el: Float[Array, ""] = param(
         "m^3/(s*Pa)", 0.0, 0.0, 1e-9, "leakage", strength=True, size=2e-13
     )
 
@@ -68,10 +70,14 @@ class DeadVolume(VolumeEffect):
 
     name = "dead_volume"
     residual_axis = "x"
-    V_01: Array = param("m^3", 0.0, 0.0, 0.02, "of chamber 1", strength=True, size=5e-6)
-    V_02: Array = param("m^3", 0.0, 0.0, 0.02, "of chamber 2", strength=True, size=5e-6)
+    V_01: Float[Array, ""] = param(
+        "m^3", 0.0, 0.0, 0.02, "of chamber 1", strength=True, size=5e-6
+    )
+    V_02: Float[Array, ""] = param(
+        "m^3", 0.0, 0.0, 0.02, "of chamber 2", strength=True, size=5e-6
+    )
 
-    def volume(self) -> tuple[Array, Array]:
+    def volume(self) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Volume beside the stroke of chambers 1 and 2, m^3."""
         return self.V_01, self.V_02
 
@@ -81,12 +87,12 @@ class EntrainedAir(ComplianceEffect):
 
     name = "entrained_air"
     residual_axis = "P_a1 + P_a2"
-    alpha: Array = param(
+    alpha: Float[Array, ""] = param(
         "1", 0.0, 0.0, 0.3, "air content at 1 atm", strength=True, size=2e-3
     )
-    n: Array = param("1", 1.2, 1.0, 1.4, "polytropic exponent", prior=0.1)
+    n: Float[Array, ""] = param("1", 1.2, 1.0, 1.4, "polytropic exponent", prior=0.1)
 
-    def compliance(self, P: Array) -> Array:
+    def compliance(self, P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Compliance beside 1/beta at gauge pressure `P`, 1/Pa."""
         p = jnp.maximum(P, 0.0) + P_0
         return self.alpha * (P_0 / p) ** (1 / self.n) / (self.n * p)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.parameters import param
 from hydrojax.plant.effect import FrictionForce, LevelEffect, SpeedEffect
@@ -15,8 +15,8 @@ class Stribeck(LevelEffect):
 
     name = "stribeck"
     residual_axis = "v"
-    k_st: Array = param("N", 0.0, 0.0, 1e4, "rise", strength=True, size=50.0)
-    v_s: Array = param(
+    k_st: Float[Array, ""] = param("N", 0.0, 0.0, 1e4, "rise", strength=True, size=50.0)
+    v_s: Float[Array, ""] = param(
         "m/s", 5e-3, 3e-4, 0.1, "Stribeck speed", grid=(1.5e-3, 5e-3, 1.5e-2)
     )
 
@@ -30,13 +30,15 @@ class PressureFriction(LevelEffect):
     name = "pressure_friction"
     needs = ("F", "P_a2")
     residual_axis = "P_a1 + P_a2"
-    a: Array = param("1", 0.0, -500.0, 500.0, "growth", strength=True, size=0.1)
+    a: Float[Array, ""] = param(
+        "1", 0.0, -500.0, 500.0, "growth", strength=True, size=0.1
+    )
 
     def level(self, at, base):
         return base * self.a * (at.P_a1 + at.P_a2) / (2 * at.P_s)
 
 
-def _wave(description: str) -> Array:
+def _wave(description: str) -> Float[Array, "*batch"]:
     return param("1", 0.0, -1.5, 1.5, description, strength=True, size=0.05, prior=0.5)
 
 
@@ -50,15 +52,19 @@ class PositionFriction(LevelEffect):
 
     name = "position_friction"
     residual_axis = "x"
-    x_from: Array = eqx.field(default=-0.1, converter=lambda x: jnp.asarray(x, float))
-    x_to: Array = eqx.field(default=0.1, converter=lambda x: jnp.asarray(x, float))
-    s_1: Array = _wave("sine")
-    c_1: Array = _wave("cosine")
-    s_2: Array = _wave("sine, first overtone")
-    c_2: Array = _wave("cosine, first overtone")
-    s_3: Array = _wave("sine, second overtone")
-    c_3: Array = _wave("cosine, second overtone")
-    waves: Array = param(
+    x_from: Float[Array, ""] = eqx.field(
+        default=-0.1, converter=lambda x: jnp.asarray(x, float)
+    )
+    x_to: Float[Array, ""] = eqx.field(
+        default=0.1, converter=lambda x: jnp.asarray(x, float)
+    )
+    s_1: Float[Array, ""] = _wave("sine")
+    c_1: Float[Array, ""] = _wave("cosine")
+    s_2: Float[Array, ""] = _wave("sine, first overtone")
+    c_2: Float[Array, ""] = _wave("cosine, first overtone")
+    s_3: Float[Array, ""] = _wave("sine, second overtone")
+    c_3: Float[Array, ""] = _wave("cosine, second overtone")
+    waves: Float[Array, ""] = param(
         "1", 1.0, 0.3, 5.0, "waves in the travel", grid=(0.5, 1.0, 2.0)
     )
 
@@ -78,8 +84,10 @@ class FrictionDrift(LevelEffect):
 
     name = "friction_drift"
     residual_axis = "t"
-    a: Array = param("1", 0.0, -3.0, 3.0, "drift", strength=True, size=0.05)
-    tau: Array = param("s", 10.0, 0.5, 1e3, "time constant", grid=(3.0, 10.0, 40.0))
+    a: Float[Array, ""] = param("1", 0.0, -3.0, 3.0, "drift", strength=True, size=0.05)
+    tau: Float[Array, ""] = param(
+        "s", 10.0, 0.5, 1e3, "time constant", grid=(3.0, 10.0, 40.0)
+    )
 
     def level(self, at, base):
         return base * self.a * jnp.expm1(-at.t / self.tau)
@@ -90,7 +98,9 @@ class ViscousFriction(FrictionForce):
 
     name = "viscous_friction"
     residual_axis = "v"
-    b: Array = param("N*s/m", 0.0, -1e6, 1e6, "viscous", strength=True, size=300.0)
+    b: Float[Array, ""] = param(
+        "N*s/m", 0.0, -1e6, 1e6, "viscous", strength=True, size=300.0
+    )
 
     def force(self, at):
         return self.b * at.v
@@ -101,7 +111,9 @@ class BristleDamping(FrictionForce):
 
     name = "bristle_damping"
     residual_axis = "z_rate"
-    sigma_1: Array = param("N*s/m", 0.0, 0.0, 1e7, "damping", strength=True, size=5e3)
+    sigma_1: Float[Array, ""] = param(
+        "N*s/m", 0.0, 0.0, 1e7, "damping", strength=True, size=5e3
+    )
 
     def force(self, at):
         return self.sigma_1 * at.z_rate
@@ -117,7 +129,7 @@ class FrictionalLag(SpeedEffect):
 
     name = "frictional_lag"
     residual_axis = "a"
-    tau_h: Array = param(
+    tau_h: Float[Array, ""] = param(
         "s",
         0.0,
         0.0,
@@ -129,7 +141,12 @@ class FrictionalLag(SpeedEffect):
         grid=(0.03, 0.15),
     )
 
-    def follow(self, before: Array, now: Array, h: Array) -> tuple[Array, Array]:
+    def follow(
+        self,
+        before: Float[Array, "*batch"],
+        now: Float[Array, "*batch"],
+        h: Float[Array, "*batch"],
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """The film's step as `w -> keep w + add`, exact for a speed along a line.
 
         The speed (m/s) goes from `before` to `now` within `h` seconds.

@@ -96,13 +96,13 @@ def offered(vocabulary: dict[str, type[Effect]]) -> dict[str, type[Effect]]:
 def register(
     classes: Iterable[Any], vocabulary: dict[str, type[Effect]], where: str, source: str
 ) -> dict[str, type[Effect]]:
-    """Check effects and take them into the vocabulary, all of them or none.
+    """Check effects and add them to the vocabulary, all of them or none.
 
     Args:
         classes: the effects.
         vocabulary: where they are put, by name, behind what is there.
         where: opens an error's line.
-        source: says whose they are: what came from there before is replaced.
+        source: where they come from; what came from there before is replaced.
     """
     new: dict[str, type[Effect]] = {}
     for effect in classes:
@@ -181,9 +181,9 @@ def _check(effect: Any, where: str) -> str:
         refuse(f"the place {place!r} is unknown: write one of {tuple(PLACES)}")
     needs = getattr(effect, "needs", None)
     if not needs or isinstance(needs, str) or not set(needs) <= set(NEEDS):
-        refuse(f"needs = {needs!r} will not do: write a tuple of {NEEDS}")
+        refuse(f"invalid needs {needs!r}: expected a tuple of {NEEDS}")
     if not isinstance(getattr(effect, "residual_axis", None), str):
-        refuse('does not say what its residual goes with: add residual_axis = "v"')
+        refuse('declares no axis of its residual: add residual_axis = "v"')
     method, trial = PLACES[place].method, PLACES[place].trial
     own = getattr(effect, method, None) if method else True
     bases = {p.base for p in PLACES.values()}
@@ -193,7 +193,7 @@ def _check(effect: Any, where: str) -> str:
     if not declared:
         refuse(
             "declares no parameter: write c: Array = param(unit, 0.0, lower, upper, "
-            "says, strength=True, size=...), with the annotation"
+            "description, strength=True, size=...), with the annotation"
         )
     for field, spec in declared.items():
         _check_spec(field, spec, refuse)
@@ -219,7 +219,7 @@ def _check_spec(field: str, spec: Spec, refuse: Refuse) -> None:
             '"N*s/m", or "1"'
         )
     if not (np.isfinite([spec.lower, spec.upper]).all() and spec.lower < spec.upper):
-        refuse(f"{field}: the range {spec.lower:g} to {spec.upper:g} will not do")
+        refuse(f"{field}: the range {spec.lower:g} to {spec.upper:g} is invalid")
     if not spec.lower <= spec.default <= spec.upper:
         refuse(f"{field}: {spec.default:g} is outside its range; widen it")
     if spec.strength and spec.default != 0.0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.parameters import param
 from hydrojax.plant.effect import SensorChannel
@@ -13,7 +13,7 @@ from hydrojax.plant.effect import SensorChannel
 class _Lag(SensorChannel):
     """First-order lag of a signal that is linear over each tick, exact."""
 
-    def lag(self) -> Array:
+    def lag(self) -> Float[Array, "*batch"]:
         """The time constant, s."""
         raise NotImplementedError
 
@@ -38,7 +38,9 @@ class LoadcellLag(_Lag):
     place = "sensor_F"
     needs = ("loadcell",)
     residual_axis = "F_rate"
-    tau_F: Array = param("s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4)
+    tau_F: Float[Array, ""] = param(
+        "s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4
+    )
 
     def lag(self):
         return self.tau_F
@@ -51,7 +53,9 @@ class LoadcellGain(SensorChannel):
     place = "sensor_F"
     needs = ("loadcell",)
     residual_axis = "F"
-    eps: Array = param("1", 0.0, -0.5, 0.5, "gain error", strength=True, size=0.01)
+    eps: Float[Array, ""] = param(
+        "1", 0.0, -0.5, 0.5, "gain error", strength=True, size=0.01
+    )
 
     def init(self, y, slope):
         return (), (1 + self.eps) * y, (1 + self.eps) * slope
@@ -67,7 +71,9 @@ class PressureSensorLag(_Lag):
     place = "sensor_P"
     needs = ("u", "P_a1", "P_a2")
     residual_axis = "P_rate"
-    tau_P: Array = param("s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4)
+    tau_P: Float[Array, ""] = param(
+        "s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4
+    )
 
     def lag(self):
         return self.tau_P
@@ -76,7 +82,7 @@ class PressureSensorLag(_Lag):
 class _Offset(SensorChannel):
     """A reading that is off by a constant."""
 
-    b: Array
+    b: Float[Array, ""]
 
     def init(self, y, slope):
         return (), y + self.b, slope
@@ -96,8 +102,12 @@ class PressureSensorBias(SensorChannel):
     place = "sensor_P"
     needs = ("u", "P_a1", "P_a2")
     residual_axis = "P_a1 + P_a2"
-    b_1: Array = param("Pa", 0.0, -2e6, 2e6, "bias of P_a1", strength=True, size=5e4)
-    b_2: Array = param("Pa", 0.0, -2e6, 2e6, "bias of P_a2", strength=True, size=5e4)
+    b_1: Float[Array, ""] = param(
+        "Pa", 0.0, -2e6, 2e6, "bias of P_a1", strength=True, size=5e4
+    )
+    b_2: Float[Array, ""] = param(
+        "Pa", 0.0, -2e6, 2e6, "bias of P_a2", strength=True, size=5e4
+    )
 
     def of_chamber(self, i):
         return _Offset((self.b_1, self.b_2)[i])
@@ -121,7 +131,7 @@ class ChannelSkew(SensorChannel):
     needs = ("loadcell",)
     residual_axis = "F_rate"
     counts_ticks = True
-    tau_s: Array = param(
+    tau_s: Float[Array, ""] = param(
         "s", 0.0, -3e-3, 3e-3, "F logged ahead of its time", strength=True, size=2e-4
     )
 
@@ -142,7 +152,9 @@ class ChannelSkew(SensorChannel):
         return jax.vmap(_along_lines)(y, t, t + self.tau_s), slope
 
 
-def _along_lines(y: Array, t: Array, at: Array) -> Array:
+def _along_lines(
+    y: Float[Array, "n"], t: Float[Array, "n"], at: Float[Array, "n"]
+) -> Float[Array, "n"]:
     """`y` [n] at the times `t`, read `at` others along lines, also beyond its ends."""
     i = jnp.clip(jnp.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
     return y[i] + (at - t[i]) * (y[i + 1] - y[i]) / (t[i + 1] - t[i])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.parameters import param
 from hydrojax.plant.effect import ForceEffect, StretchEffect
@@ -17,7 +17,7 @@ class RodCompliance(StretchEffect):
     """
 
     name = "rod_compliance"
-    give: Array = param(
+    give: Float[Array, ""] = param(
         "m/N",
         0.0,
         0.0,
@@ -39,8 +39,8 @@ class Backlash(StretchEffect):
     """
 
     name = "backlash"
-    b: Array = param("m", 0.0, 0.0, 5e-3, "width", strength=True, size=1e-5)
-    F_w: Array = param(
+    b: Float[Array, ""] = param("m", 0.0, 0.0, 5e-3, "width", strength=True, size=1e-5)
+    F_w: Float[Array, ""] = param(
         "N", 30.0, 2.0, 1e3, "force that crosses it", grid=(10.0, 30.0, 100.0)
     )
 
@@ -53,7 +53,7 @@ class PayloadInertia(ForceEffect):
 
     name = "payload_inertia"
     residual_axis = "a"
-    m: Array = param("kg", 0.0, 0.0, 1e5, "mass", strength=True, size=5.0)
+    m: Float[Array, ""] = param("kg", 0.0, 0.0, 1e5, "mass", strength=True, size=5.0)
 
     def force(self, at):
         return -self.m * at.a
@@ -68,9 +68,15 @@ class GravityLoad(ForceEffect):
     name = "gravity_load"
     needs = ("F", "psi")
     residual_axis = "psi"
-    radius: Array = eqx.field(default=1.0, converter=lambda x: jnp.asarray(x, float))
-    w_s: Array = param("N", 0.0, -1e6, 1e6, "w cos(psi_0)", strength=True, size=50.0)
-    w_c: Array = param("N", 0.0, -1e6, 1e6, "w sin(psi_0)", strength=True, size=50.0)
+    radius: Float[Array, ""] = eqx.field(
+        default=1.0, converter=lambda x: jnp.asarray(x, float)
+    )
+    w_s: Float[Array, ""] = param(
+        "N", 0.0, -1e6, 1e6, "w cos(psi_0)", strength=True, size=50.0
+    )
+    w_c: Float[Array, ""] = param(
+        "N", 0.0, -1e6, 1e6, "w sin(psi_0)", strength=True, size=50.0
+    )
 
     def force(self, at):
         psi = at.x / self.radius

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.parameters import param
 from hydrojax.plant.effect import CommandChannel, OrificeEffect
@@ -23,7 +23,7 @@ class ValveDelay(CommandChannel):
     name = "valve_delay"
     residual_axis = "u_rate"
     counts_ticks = True
-    tau_u: Array = param(
+    tau_u: Float[Array, ""] = param(
         "s", 0.0, 0.0, 0.011, "command delay", strength=True, size=1e-3
     )
 
@@ -52,7 +52,9 @@ class ValveBias(CommandChannel):
     """`u + u_0` (V6)."""
 
     name = "valve_bias"
-    u_0: Array = param("{u}", 0.0, -3.0, 3.0, "null bias", strength=True, size=0.05)
+    u_0: Float[Array, ""] = param(
+        "{u}", 0.0, -3.0, 3.0, "null bias", strength=True, size=0.05
+    )
 
     def step(self, memory, u, h):
         return memory, u + self.u_0
@@ -63,7 +65,7 @@ class ValveHysteresis(CommandChannel):
 
     name = "valve_hysteresis"
     residual_axis = "u_rate"
-    u_h: Array = param(
+    u_h: Float[Array, ""] = param(
         "{u}", 0.0, 0.0, 2.0, "half-width of the play", strength=True, size=0.05
     )
 
@@ -88,7 +90,7 @@ class ValveRateLimit(CommandChannel):
 
     name = "valve_rate_limit"
     residual_axis = "u_rate"
-    slew: Array = param(
+    slew: Float[Array, ""] = param(
         "s/{u}",
         0.0,
         0.0,
@@ -125,7 +127,7 @@ class ValveLag(CommandChannel):
 
     name = "valve_lag"
     residual_axis = "u_rate"
-    tau: Array = param(
+    tau: Float[Array, ""] = param(
         "s",
         0.0,
         0.0,
@@ -135,7 +137,9 @@ class ValveLag(CommandChannel):
         size=5e-4,
         outside=("omega", "rad/s"),
     )
-    zeta: Array = param("1", 0.7, 0.2, 0.99, "spool damping ratio", prior=0.2)
+    zeta: Float[Array, ""] = param(
+        "1", 0.7, 0.2, 0.99, "spool damping ratio", prior=0.2
+    )
 
     def init(self, u):
         return u, jnp.zeros_like(u)
@@ -160,10 +164,10 @@ class ValveDeadband(CommandChannel):
     """Overlap of the lands (V4), a width of its own on each side."""
 
     name = "valve_deadband"
-    u_dbp: Array = param(
+    u_dbp: Float[Array, ""] = param(
         "{u}", 0.0, 0.0, 5.0, "overlap, u > 0", strength=True, size=0.05
     )
-    u_dbn: Array = param(
+    u_dbn: Float[Array, ""] = param(
         "{u}", 0.0, 0.0, 5.0, "overlap, u < 0", strength=True, size=0.05
     )
 
@@ -181,7 +185,7 @@ class OrificeTransition(OrificeEffect):
 
     name = "orifice_transition"
     residual_axis = "P_a1 - P_a2"
-    dP_t2: Array = param(
+    dP_t2: Float[Array, ""] = param(
         "Pa^2", 0.0, 0.0, 1e14, "square of dP_t", strength=True, size=2.5e11
     )
 
@@ -197,7 +201,7 @@ class Underlap(OrificeEffect):
 
     name = "underlap"
     residual_axis = "u"
-    u_ul: Array = param(
+    u_ul: Float[Array, ""] = param(
         "{u}", 0.0, 0.0, 5.0, "opening at zero", strength=True, size=0.05
     )
 

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hydrojax import __version__
-from hydrojax.control.adaptive import LEAST_DROP, Estimates, Law
+from hydrojax.control.adaptive import LEAST_DROP, Law
+from hydrojax.control.estimates import Estimates
 from hydrojax.export.template import fill
 from hydrojax.export.tree import defaults_taken, rig_tree
 from hydrojax.plant.valve import metering_edges
@@ -28,7 +29,7 @@ def firmware_of(spec: RigFile) -> dict[str, str]:
     """`law.h` and `law.c` for a rig, by name.
 
     Raises:
-        InputError: the rig has no valve, or [controller] holds what will not do.
+        InputError: the rig has no valve, or an invalid entry in [controller].
     """
     loop = build_loop(spec)
     volts = spec.command_unit == "V"

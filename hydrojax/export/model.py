@@ -57,7 +57,7 @@ def variables_without(layout: Layout) -> frozenset[str]:
     return frozenset(line).union(absent, (f"{p}_start" for p in absent))
 
 
-class Model:
+class SteppedRig:
     """A rig and where it stands.
 
     `inputs`, `parameters`, `starts` and `outputs` say which variables there are;

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from hydrojax import effects
 from hydrojax.errors import InputError
-from hydrojax.export.model import Model
+from hydrojax.export.model import SteppedRig
 from hydrojax.jax_setup import set_up_jax
 from hydrojax.rigfile.schema import RigFile
 
@@ -102,10 +102,10 @@ class Plant(Slave):
         return True
 
 
-def load(folder: Path) -> Model:
+def load(folder: Path) -> SteppedRig:
     """The model whose rig lies in `folder`, with the effects that came along."""
     files = json.loads((folder / EFFECTS).read_text(encoding="utf-8"))
     for file, names in files.items():
         if not set(names) <= set(effects.EFFECTS):
             effects.load_effects(folder / file)
-    return Model(RigFile.load(folder / RIG))
+    return SteppedRig(RigFile.load(folder / RIG))

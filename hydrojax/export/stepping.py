@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, Float
 
 from hydrojax.control.simulation import PARTS
 from hydrojax.plant.rig import Rig
@@ -32,13 +32,13 @@ class Drive(NamedTuple):
     `P_r` the supply's.
     """
 
-    u: Array
-    x: Array
-    v: Array
-    a: Array
-    P_s: Array
-    P_r: Array
-    P: Array | None
+    u: Float[Array, ""]
+    x: Float[Array, ""]
+    v: Float[Array, ""]
+    a: Float[Array, ""]
+    P_s: Float[Array, ""]
+    P_r: Float[Array, ""]
+    P: Float[Array, ""] | None
 
 
 def has_queue(rig: Rig) -> bool:
@@ -55,7 +55,9 @@ def ticks_of(step: float, period: float) -> tuple[int, float]:
     return count, step / count
 
 
-def inputs_from(drive: Drive, t: Array, since: Array, h: Array) -> StepInput:
+def inputs_from(
+    drive: Drive, t: Float[Array, ""], since: Float[Array, ""], h: Float[Array, ""]
+) -> StepInput:
     """What drives the tick that begins `since` seconds into a step, at time `t`.
 
     The pressures are solved in as many parts of it as in the closed loop.

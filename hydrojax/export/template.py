@@ -8,7 +8,7 @@ from typing import Any
 import jinja2
 
 
-def number(value: Any) -> str:
+def c_float(value: Any) -> str:
     """A float as C has it, all digits, and never an integer."""
     shown = f"{float(value):.17g}"
     return shown if any(sign in shown for sign in ".en") else f"{shown}.0"
@@ -30,6 +30,6 @@ def fill(template: str, **values: Any) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["number"] = number
+    environment.filters["number"] = c_float
     environment.filters["comment"] = comment
     return environment.get_template(template).render(values)

@@ -49,7 +49,7 @@ def rig_tree(spec: RigFile) -> Tree:
     `says`, and `range` (two numbers) where they are free to be fitted.
 
     Raises:
-        InputError: [controller] holds what will not do.
+        InputError: an invalid key, unit or value in [controller].
     """
     rig = plant(spec)
     return {

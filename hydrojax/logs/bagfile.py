@@ -143,20 +143,20 @@ def _rosbag(path: Path) -> Iterator[Bag]:
 
         def decoder(topic: str) -> Callable[[bytes], Any]:
             own = [c for c in reader.connections if c.topic == topic]
-            (name, told), *more = {(c.msgtype, c.msgdef) for c in own}
+            (name, definition), *more = {(c.msgtype, c.msgdef) for c in own}
             if more:
                 raise InputError(
                     f"{path}: {topic!r} has messages of several types; record one"
                 )
-            idl = told.format == MessageDefinitionFormat.IDL
-            return _cdr(f"{path}: {topic!r}", name, told.data, idl)
+            idl = definition.format == MessageDefinitionFormat.IDL
+            return _cdr(f"{path}: {topic!r}", name, definition.data, idl)
 
         def messages(wanted: Collection[str]) -> Iterator[Message]:
             own = [c for c in reader.connections if c.topic in wanted]
             for connection, received, data in reader.messages(own):
                 yield Message(connection.topic, 0, received, data)
 
-        topics = {name: told.msgcount for name, told in reader.topics.items()}
+        topics = {name: topic.msgcount for name, topic in reader.topics.items()}
         yield Bag(topics, decoder, messages)
 
 

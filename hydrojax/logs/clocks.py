@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy import stats
 
 WHOLE = 1.75
@@ -39,16 +40,16 @@ class Stream:
     Attributes:
         topic: its name.
         by: what `stamp` is: "header.stamp", "publish time" or "log time".
-        stamp: [n] int64, ns, by the sender's clock.
-        received: [n] int64, ns, by the recorder's clock.
-        values: [n] each, by signal; NaN where a message has none.
+        stamp: ns, by the sender's clock.
+        received: ns, by the recorder's clock.
+        values: by signal; NaN where a message has none.
     """
 
     topic: str
     by: str
-    stamp: np.ndarray
-    received: np.ndarray
-    values: dict[str, np.ndarray]
+    stamp: Int[np.ndarray, "messages"]
+    received: Int[np.ndarray, "messages"]
+    values: dict[str, Float[np.ndarray, "messages"]]
 
     @cached_property
     def period(self) -> float:
@@ -75,7 +76,7 @@ class Clock:
         coarse: ns, so that the rest is small.
         offset: s.
         drift: s/s; negative where the sender's clock is the faster.
-        error: half the 99 % interval of `drift`; inf where it cannot be told.
+        error: half the 99 % interval of `drift`; inf where it is not identifiable.
     """
 
     coarse: int
@@ -84,12 +85,16 @@ class Clock:
     error: float
 
 
-def clock(stamp: np.ndarray, received: np.ndarray, origin: int) -> Clock:
+def clock(
+    stamp: Int[np.ndarray, "messages"],
+    received: Int[np.ndarray, "messages"],
+    origin: int,
+) -> Clock:
     """What a topic's delays say of its clock.
 
     Args:
-        stamp: [n] int64, ns.
-        received: [n] int64, ns.
+        stamp: ns, by the sender's clock.
+        received: ns, by the recorder's clock.
         origin: ns of the recorder where its seconds start.
     """
     coarse = int(np.min(received - stamp))
@@ -110,7 +115,7 @@ def clock(stamp: np.ndarray, received: np.ndarray, origin: int) -> Clock:
 
 def by_one_clock(
     streams: Sequence[Stream], base: Stream
-) -> tuple[dict[str, np.ndarray], list[str]]:
+) -> tuple[dict[str, Float[np.ndarray, "_"]], list[str]]:
     """Each topic's stamps by the base's clock, s from the base's first; remarks.
 
     A clock that drifts against the base's beyond doubt, or has another zero, is brought
@@ -159,8 +164,8 @@ def _delays(stream: Stream, clock: Clock) -> str:
     """What is known of a topic's clock, in words."""
     if stream.by == "log time":
         return (
-            f"{stream}: times are the log's, so its skew cannot be told; the effect "
-            "channel_skew may show it"
+            f"{stream}: times are the log's, so its skew is not identifiable; the "
+            "effect channel_skew may show it"
         )
     said = f"{stream}: times are by {stream.by}"
     if (stream.stamp == stream.received).all():
@@ -170,7 +175,7 @@ def _delays(stream: Stream, clock: Clock) -> str:
     if abs(least) > _LONG:
         seen = f"its clock stands {-least:+.6g} s off the recorder's"
     if np.isinf(clock.error):
-        return f"{said}; {seen}, drift cannot be told"
+        return f"{said}; {seen}, drift is not identifiable"
     return f"{said}; {seen}, drift {_ppm(-clock.drift, clock.error)}"
 
 

@@ -50,6 +50,8 @@ class Log:
         merged: rows that went into a neighbour of the same stamp.
         segments: [start, stop) row ranges without a gap or a NaN (`F_d`'s aside).
         notes: one-line remarks for the report.
+        channels: the [channels] with which its columns were read, by signal; None for a
+            log that is made of arrays, whose signals have the rig's names and signs.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Log:
     merged: int = 0
     segments: tuple[tuple[int, int], ...] = ()
     notes: tuple[str, ...] = ()
+    channels: Mapping[str, Channel] | None = None
 
     @classmethod
     def load(
@@ -160,7 +163,10 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
             f"({why}); log longer, or take the column with the holes out"
         )
     name = path.absolute().name  # of "." too
-    return Log(name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts))
+    return Log(
+        name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts),
+        dict(channels),
+    )  # fmt: skip
 
 
 def _check_rows(

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from hydrojax.errors import InputError
 from hydrojax.logs.clocks import SAME, WHOLE, Stream, by_one_clock
@@ -15,7 +16,9 @@ _AS_FAST = 1.33  # periods of motion and command within this ratio count as equa
 
 def on_one_base(
     streams: Sequence[Stream],
-) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
+) -> tuple[
+    Float[np.ndarray, "ticks"], dict[str, Float[np.ndarray, "ticks"]], list[str]
+]:
     """Bring all signals to the ticks of one of the topics.
 
     The base is the command's topic, so that the command is as it was sent; where the
@@ -29,7 +32,7 @@ def on_one_base(
         streams: at least one, each of some signals.
 
     Returns:
-        Time of the ticks, [n] s; each signal, [n]; remarks.
+        Time of the ticks, s; each signal at them; remarks.
 
     Raises:
         InputError: less than two samples of a topic, or no time common to all.
@@ -56,13 +59,17 @@ def on_one_base(
     return *_without_single_holes(ticks, signals, notes), notes
 
 
-def sampled(time: np.ndarray, values: np.ndarray, ticks: np.ndarray) -> np.ndarray:
-    """A signal at `ticks`, [m]: a sample, or the line between two; NaN in gaps.
+def sampled(
+    time: Float[np.ndarray, "samples"],
+    values: Float[np.ndarray, "samples"],
+    ticks: Float[np.ndarray, "ticks"],
+) -> Float[np.ndarray, "ticks"]:
+    """A signal at `ticks`: a sample, or the line between two; NaN in gaps.
 
     Args:
-        time: [n] s, rising.
-        values: [n].
-        ticks: [m] s, rising.
+        time: of the samples, s, rising.
+        values: the samples.
+        ticks: s, rising.
     """
     after = np.clip(np.searchsorted(time, ticks), 1, len(time) - 1)
     step = np.diff(time)[after - 1]
@@ -81,16 +88,19 @@ def _same(time: np.ndarray, near: np.ndarray, ticks: np.ndarray) -> np.ndarray:
 
 
 def held(
-    time: np.ndarray, values: np.ndarray, ticks: np.ndarray, longest: float = np.inf
-) -> np.ndarray:
-    """The mean over each tick, [m], of a signal that is held between its samples.
+    time: Float[np.ndarray, "samples"],
+    values: Float[np.ndarray, "samples"],
+    ticks: Float[np.ndarray, "ticks"],
+    longest: float = np.inf,
+) -> Float[np.ndarray, "ticks"]:
+    """The mean over each tick of a signal that is held between its samples.
 
     NaN before the first sample, and where one is held for more than `longest` s.
 
     Args:
-        time: [n] s, rising.
-        values: [n].
-        ticks: [m] s, rising; a tick before a gap lasts the median step.
+        time: of the samples, s, rising.
+        values: the samples.
+        ticks: s, rising; a tick before a gap lasts the median step.
         longest: s.
     """
     steps = np.diff(ticks)

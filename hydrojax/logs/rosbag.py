@@ -169,9 +169,9 @@ def _stream(
         by, stamp = "header.stamp", header
     elif np.mean(published != 0) > 0.5 and (published != received).any():
         by, stamp = "publish time", published
-    told = (stamp != 0) | (by == "log time")
-    signals = {name: values[told, i] for i, name in enumerate(names)}
-    return Stream(topic, by, stamp[told], received[told], signals)
+    known = (stamp != 0) | (by == "log time")
+    signals = {name: values[known, i] for i, name in enumerate(names)}
+    return Stream(topic, by, stamp[known], received[known], signals)
 
 
 def _reach(content: Any, steps: Iterable[str | int]) -> Any:

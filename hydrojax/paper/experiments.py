@@ -262,7 +262,7 @@ def paper_json(found: Experiments) -> dict[str, Any]:
             "largest_rise_at_rate": list(rises.values()),
         },
         "supply": {
-            "least_P_s_Pa": found.supply.least,
+            "least_P_s_Pa": found.supply.minimum,
             "condition_42_Pa": found.supply.condition,
         },
         "ablation": {"full_law_rms_N": rms["fig3"]["a"], "rms_N": found.ablation.rms},

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import equinox as eqx
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.parameters import param
 
@@ -22,26 +22,32 @@ class Point(NamedTuple):
     a tick opens both.
     """
 
-    P_a1: Array
-    P_a2: Array
-    P_s: Array
-    P_r: Array
-    opening: tuple[Array, ...]
-    x: Array
-    v: Array
+    P_a1: Float[Array, "*batch"]
+    P_a2: Float[Array, "*batch"]
+    P_s: Float[Array, "*batch"]
+    P_r: Float[Array, "*batch"]
+    opening: tuple[Float[Array, "*batch"], ...]
+    x: Float[Array, "*batch"]
+    v: Float[Array, "*batch"]
 
 
 class Chambers(eqx.Module):
     """Two chambers of fluid: volumes (10)(11) and pressure rates (14)(15)."""
 
-    area_1: Array
-    area_2: Array
-    length: Array
-    beta: Array = param("Pa", 8.5e8, 1e7, 1e10, "bulk modulus")
-    delta_1: Array = param("m", 0.0, -0.5, 0.5, "assembly offset of chamber 1")
-    delta_2: Array = param("m", 0.0, -0.5, 0.5, "assembly offset of chamber 2")
+    area_1: Float[Array, ""]
+    area_2: Float[Array, ""]
+    length: Float[Array, ""]
+    beta: Float[Array, ""] = param("Pa", 8.5e8, 1e7, 1e10, "bulk modulus")
+    delta_1: Float[Array, ""] = param(
+        "m", 0.0, -0.5, 0.5, "assembly offset of chamber 1"
+    )
+    delta_2: Float[Array, ""] = param(
+        "m", 0.0, -0.5, 0.5, "assembly offset of chamber 2"
+    )
 
-    def lengths(self, x: Array) -> tuple[Array, Array]:
+    def lengths(
+        self, x: Float[Array, "*batch"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Lengths of chambers 1 and 2 at piston position `x`, m; (10)(11)."""
         half = self.length / 2
         return half + self.delta_1 - x, half + self.delta_2 + x
@@ -49,11 +55,11 @@ class Chambers(eqx.Module):
     def rates(
         self,
         at: Point,
-        q_1: Array,
-        q_2: Array,
+        q_1: Float[Array, "*batch"],
+        q_2: Float[Array, "*batch"],
         softness: tuple = (),
         volumes: tuple = (),
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Pressure rates (Pa/s) for flows into the chambers; (14)(15).
 
         `softness` are effects that add compliance (1/Pa) beside 1/beta, `volumes`

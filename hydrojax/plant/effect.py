@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding
@@ -40,15 +40,17 @@ class CommandChannel(Effect):
     counts_ticks: ClassVar[bool] = False
     """Whether its memory counts ticks, so that all must have one length."""
 
-    def init(self, u: Array) -> Any:
+    def init(self, u: Float[Array, "*batch"]) -> Any:
         """Memory at rest under the command `u`."""
         return ()
 
-    def step(self, memory, u: Array, h: Array):
+    def step(self, memory, u: Float[Array, "*batch"], h: Float[Array, "*batch"]):
         """One step of length `h`: new memory and the mean of the output over it."""
         raise NotImplementedError
 
-    def parts(self, memory, us: list[Array], h: Array):
+    def parts(
+        self, memory, us: list[Float[Array, "*batch"]], h: Float[Array, "*batch"]
+    ):
         """A tick cut into steps of length `h`: new memory, and each step's mean."""
         out = []
         for u in us:
@@ -67,11 +69,13 @@ class OrificeEffect(Effect):
     place = "orifice"
     needs = ("u",)
 
-    def opening(self, spool: Array) -> tuple[Array | float, Array | float]:
+    def opening(
+        self, spool: Float[Array, "*batch"]
+    ) -> tuple[Float[Array, "*batch"] | float, Float[Array, "*batch"] | float]:
         """What is added to the openings when the spool stands at `spool`."""
         return 0.0, 0.0
 
-    def core(self) -> Array | float:
+    def core(self) -> Float[Array, "*batch"] | float:
         """What is added to the square of the laminar core, Pa^2."""
         return 0.0
 
@@ -82,7 +86,9 @@ class SupplyEffect(Effect):
     place = "supply"
     needs = ("u",)
 
-    def drop(self, conductance: Array, available: Array) -> Array:
+    def drop(
+        self, conductance: Float[Array, "*batch"], available: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
         """Pressure lost when `conductance sqrt(.)` draws on `available`, Pa."""
         raise NotImplementedError
 
@@ -93,7 +99,7 @@ class FlowEffect(Effect):
     place = "flow"
     needs = ("u",)
 
-    def flow(self, at: Point) -> tuple[Array, Array]:
+    def flow(self, at: Point) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Flows into chambers 1 and 2 at a point, m^3/s."""
         raise NotImplementedError
 
@@ -104,7 +110,7 @@ class VolumeEffect(Effect):
     place = "volume"
     needs = ("u",)
 
-    def volume(self) -> tuple[Array, Array]:
+    def volume(self) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Volume beside the stroke of chambers 1 and 2, m^3."""
         raise NotImplementedError
 
@@ -115,7 +121,7 @@ class ComplianceEffect(Effect):
     place = "compliance"
     needs = ("u",)
 
-    def compliance(self, P: Array) -> Array:
+    def compliance(self, P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Compliance beside 1/beta at gauge pressure `P`, 1/Pa."""
         raise NotImplementedError
 
@@ -131,7 +137,7 @@ class StretchEffect(Effect):
     needs = ("u", "loadcell")
     residual_axis = "F"
 
-    def stretch(self, F: Array) -> Array:
+    def stretch(self, F: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """How far the piston stands ahead of the encoder under `F` (N), m."""
         raise NotImplementedError
 
@@ -142,7 +148,12 @@ class SpeedEffect(Effect):
     place = "velocity"
     needs = ("F",)
 
-    def follow(self, before: Array, now: Array, h: Array) -> tuple[Array, Array]:
+    def follow(
+        self,
+        before: Float[Array, "*batch"],
+        now: Float[Array, "*batch"],
+        h: Float[Array, "*batch"],
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """The step of the speed that friction sees as `w -> keep w + add`, m/s.
 
         The speed (m/s) goes from `before` to `now` within `h` seconds.
@@ -156,7 +167,9 @@ class LevelEffect(Effect):
     place = "level"
     needs = ("F",)
 
-    def level(self, at: Sliding, base: Array) -> Array:
+    def level(
+        self, at: Sliding, base: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
         """What is added to the Coulomb level `base` (N) of this direction."""
         raise NotImplementedError
 
@@ -167,7 +180,7 @@ class FrictionForce(Effect):
     place = "friction"
     needs = ("F",)
 
-    def force(self, at: Sliding) -> Array:
+    def force(self, at: Sliding) -> Float[Array, "*batch"]:
         """Friction force beside the paper's f_c, N."""
         raise NotImplementedError
 
@@ -178,7 +191,7 @@ class ForceEffect(Effect):
     place = "force"
     needs = ("F",)
 
-    def force(self, at: Sliding) -> Array:
+    def force(self, at: Sliding) -> Float[Array, "*batch"]:
         """Force added to what the load cell feels, N."""
         raise NotImplementedError
 
@@ -197,15 +210,22 @@ class SensorChannel(Effect):
         """This channel as the gauge of chamber 1 (`i` = 0) or 2 (`i` = 1) has it."""
         return self
 
-    def init(self, y: Array, slope: Array) -> tuple[Any, Array, Array]:
+    def init(
+        self, y: Float[Array, "*batch"], slope: Float[Array, "*batch"]
+    ) -> tuple[Any, Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Memory, reading and the reading's slope after a long run along a line."""
         return (), y, slope
 
-    def step(self, memory, y: Array, h: Array):
+    def step(self, memory, y: Float[Array, "*batch"], h: Float[Array, "*batch"]):
         """One tick of length `h` at whose end the signal is `y`: memory, reading."""
         raise NotImplementedError
 
-    def run(self, y: Array, slope: Array, h: Array) -> tuple[Array, Array]:
+    def run(
+        self,
+        y: Float[Array, "windows n"],
+        slope: Float[Array, "windows"],
+        h: Float[Array, "windows n-1"],
+    ) -> tuple[Float[Array, "windows n"], Float[Array, "windows"]]:
         """Readings of a known signal `y` [W, n], from the first tick on.
 
         `slope` [W] is how it ran before, `h` [W, n-1] the ticks. Returns the readings

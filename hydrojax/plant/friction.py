@@ -7,7 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.parameters import param
 
@@ -20,47 +20,65 @@ class Sliding(NamedTuple):
     the speed of an oil film that comes late, less `abs(v)` (m/s).
     """
 
-    t: Array
-    x: Array
-    v: Array
-    a: Array
-    z: Array
-    z_rate: Array
-    speed: Array
-    P_a1: Array
-    P_a2: Array
-    P_s: Array
-    lag: Array | float = 0.0
+    t: Float[Array, "*batch"]
+    x: Float[Array, "*batch"]
+    v: Float[Array, "*batch"]
+    a: Float[Array, "*batch"]
+    z: Float[Array, "*batch"]
+    z_rate: Float[Array, "*batch"]
+    speed: Float[Array, "*batch"]
+    P_a1: Float[Array, "*batch"]
+    P_a2: Float[Array, "*batch"]
+    P_s: Float[Array, "*batch"]
+    lag: Float[Array, "*batch"] | float = 0.0
 
 
 class Theta(NamedTuple):
     """One value for each of theta_f (27), in the paper's order."""
 
-    k_cp: Array
-    k_cn: Array
-    k_0: Array
-    k_vp: Array
-    k_vn: Array
-    k_fp: Array
-    k_fn: Array
+    k_cp: Float[Array, "*batch"]
+    k_cn: Float[Array, "*batch"]
+    k_0: Float[Array, "*batch"]
+    k_vp: Float[Array, "*batch"]
+    k_vn: Float[Array, "*batch"]
+    k_fp: Float[Array, "*batch"]
+    k_fn: Float[Array, "*batch"]
 
 
 class Friction(eqx.Module):
     """Coulomb, Stribeck, offset and presliding friction of one piston."""
 
-    k_cp: Array = param("N", 0.0, 0.0, 1e5, "Coulomb level, v > 0", size=500.0)
-    k_cn: Array = param("N", 0.0, 0.0, 1e5, "Coulomb level, v < 0", size=500.0)
-    k_0: Array = param("N", 0.0, -1e4, 1e4, "constant offset", size=100.0)
-    k_vp: Array = param("N*s/m", 0.0, -1e6, 1e6, "fall with speed, v > 0", size=2e3)
-    k_vn: Array = param("N*s/m", 0.0, -1e6, 1e6, "fall with speed, v < 0", size=2e3)
-    k_fp: Array = param("1", 0.0, 0.0, 10.0, "presliding, F > 0", size=0.5)
-    k_fn: Array = param("1", 0.0, 0.0, 10.0, "presliding, F < 0", size=0.5)
-    z_ss: Array = param("m", 60e-6, 1e-7, 5e-3, "bristle deflection when sliding")
-    delta: Array = param("1/N", 1 / 900, 1e-6, 10.0, "saturation of presliding in F")
-    L_slope: Array = param("s/m", 300.0, 1.0, 1e6, "slope of the switch L(t)")
-    L_rate: Array = param("1/s", 10.0, 0.1, 1e3, "rate of the filtered speed")
+    k_cp: Float[Array, ""] = param(
+        "N", 0.0, 0.0, 1e5, "Coulomb level, v > 0", size=500.0
+    )
+    k_cn: Float[Array, ""] = param(
+        "N", 0.0, 0.0, 1e5, "Coulomb level, v < 0", size=500.0
+    )
+    k_0: Float[Array, ""] = param("N", 0.0, -1e4, 1e4, "constant offset", size=100.0)
+    k_vp: Float[Array, ""] = param(
+        "N*s/m", 0.0, -1e6, 1e6, "fall with speed, v > 0", size=2e3
+    )
+    k_vn: Float[Array, ""] = param(
+        "N*s/m", 0.0, -1e6, 1e6, "fall with speed, v < 0", size=2e3
+    )
+    k_fp: Float[Array, ""] = param("1", 0.0, 0.0, 10.0, "presliding, F > 0", size=0.5)
+    k_fn: Float[Array, ""] = param("1", 0.0, 0.0, 10.0, "presliding, F < 0", size=0.5)
+    z_ss: Float[Array, ""] = param(
+        "m", 60e-6, 1e-7, 5e-3, "bristle deflection when sliding"
+    )
+    delta: Float[Array, ""] = param(
+        "1/N", 1 / 900, 1e-6, 10.0, "saturation of presliding in F"
+    )
+    L_slope: Float[Array, ""] = param(
+        "s/m", 300.0, 1.0, 1e6, "slope of the switch L(t)"
+    )
+    L_rate: Float[Array, ""] = param(
+        "1/s", 10.0, 0.1, 1e3, "rate of the filtered speed"
+    )
 
-    def bristle_map(self, dx: Array) -> tuple[Array, Array]:
+    def bristle_map(
+        self, dx: Float[Array, "*batch"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """The bristle's step (4) over a displacement `dx` as `z -> keep z + add`.
 
         Exact while v keeps its sign: the bristle depends on displacement, not time.
@@ -68,20 +86,26 @@ class Friction(eqx.Module):
         keep = jnp.exp(-jnp.abs(dx) / self.z_ss)
         return keep, jnp.sign(dx) * self.z_ss * (1 - keep)
 
-    def speed_map(self, dx: Array, h: Array) -> tuple[Array, Array]:
+    def speed_map(
+        self, dx: Float[Array, "*batch"], h: Float[Array, "*batch"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """The filtered speed's step over `h` seconds as `w -> keep w + add`."""
         keep = jnp.exp(-self.L_rate * h)
         return keep, (1 - keep) * jnp.abs(dx) / h
 
-    def z_rate(self, z: Array, v: Array) -> Array:
+    def z_rate(
+        self, z: Float[Array, "*batch"], v: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
         """Rate of the bristle's deflection (4), m/s."""
         return v - jnp.abs(v) / self.z_ss * z
 
-    def switch(self, speed: Array) -> Array:
+    def switch(self, speed: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """L(t): 1 in presliding, 0 in sliding; `speed` is the filtered |v|."""
         return 1 / (1 + (self.L_slope * speed) ** 3)
 
-    def sliding_force(self, at: Sliding, levels: tuple = (), adds: tuple = ()) -> Array:
+    def sliding_force(
+        self, at: Sliding, levels: tuple = (), adds: tuple = ()
+    ) -> Float[Array, "*batch"]:
         """f_c of (3) with phi = -1, N.
 
         `levels` are effects that add to the Coulomb level, `adds` effects that add
@@ -99,7 +123,13 @@ class Friction(eqx.Module):
         fall = jnp.where(film.v > 0, self.k_vp, self.k_vn) * film.v
         return turn * level + self.k_0 - fall + sum(e.force(film) for e in adds)
 
-    def regressor(self, z: Array, v: Array, speed: Array, F: Array) -> Theta:
+    def regressor(
+        self,
+        z: Float[Array, "*batch"],
+        v: Float[Array, "*batch"],
+        speed: Float[Array, "*batch"],
+        F: Float[Array, "*batch"],
+    ) -> Theta:
         """The row of (26): what each of theta_f is multiplied with in f_f.
 
         With the output force itself as `F`, `f_f` of (7) is this times theta_f; the
@@ -119,7 +149,12 @@ class Friction(eqx.Module):
             k_fn=jnp.where(F > 0, 0.0, stick),
         )
 
-    def output_force(self, P: Array, f_c: Array, L: Array) -> Array:
+    def output_force(
+        self,
+        P: Float[Array, "*batch"],
+        f_c: Float[Array, "*batch"],
+        L: Float[Array, "*batch"],
+    ) -> Float[Array, "*batch"]:
         """F of (22) with (5)-(7): the admissible root of a quadratic, N.
 
         `F + L k_f F / (1 + delta |F|) = P - (1 - L) f_c`, and F has the sign of the
@@ -135,7 +170,11 @@ class Friction(eqx.Module):
         return jnp.where(drive < 0, -root, root)
 
 
-def run_linear(keep: Array, add: Array, start: Array) -> Array:
+def run_linear(
+    keep: Float[Array, "*batch n"],
+    add: Float[Array, "*batch n"],
+    start: Float[Array, "*batch"],
+) -> Float[Array, "*batch n"]:
     """All states of `s -> keep s + add` along the last axis, from `start`.
 
     Shapes: `keep`, `add` [..., n], `start` [...]; returns [..., n], the state after

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.parameters import param
 from hydrojax.plant.state import StepInput
@@ -24,24 +24,26 @@ class EnvironmentMotion(NamedTuple):
     `x` [..., 3] at its start, middle and end; `v`, `a` at its end.
     """
 
-    x: Array
-    v: Array
-    a: Array
+    x: Float[Array, "*batch 3"]
+    v: Float[Array, "*batch"]
+    a: Float[Array, "*batch"]
 
 
-class Motion(NamedTuple):
+class PistonMotion(NamedTuple):
     """Where the piston stands: m, m/s, m/s^2."""
 
-    x: Array
-    v: Array
-    a: Array
+    x: Float[Array, "*batch"]
+    v: Float[Array, "*batch"]
+    a: Float[Array, "*batch"]
 
 
 Force = Callable[[Array, Array], Array]
 """The output force (N) at a part's end, of velocity and acceleration there."""
 
 
-def _speed(environment: EnvironmentMotion, h: Array) -> Array:
+def _speed(
+    environment: EnvironmentMotion, h: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
     """The environment's speed about the start of a part, m/s."""
     return (environment.x[..., 1] - environment.x[..., 0]) / (h / 2)
 
@@ -51,7 +53,7 @@ def _parts(inputs: StepInput) -> tuple[StepInput, ...]:
     n = inputs.v.shape[-1]
     h = inputs.h / n
 
-    def ends(p: Array, i: int) -> Array:
+    def ends(p: Float[Array, "*batch 2"], i: int) -> Float[Array, "*batch 2"]:
         share = jnp.array([i, i + 1]) / n
         return p[..., :1] + share * (p[..., 1:] - p[..., :1])
 
@@ -69,7 +71,7 @@ def _parts(inputs: StepInput) -> tuple[StepInput, ...]:
     )
 
 
-def _moved(part: StepInput, x: Array) -> StepInput:
+def _moved(part: StepInput, x: Float[Array, "*batch 3"]) -> StepInput:
     """A part in which the piston goes through `x` [..., 3], m."""
     v = (x[..., 0] - 4 * x[..., 1] + 3 * x[..., 2]) / part.h  # at the end
     return part._replace(x=x, dx=x[..., 2:] - x[..., :1], v=v)
@@ -88,7 +90,9 @@ class AbstractLoad(eqx.Module):
         """The parts of a tick after each of which the load takes the force."""
 
     @abstractmethod
-    def begin(self, environment: EnvironmentMotion, h: Array, force: Force) -> Any:
+    def begin(
+        self, environment: EnvironmentMotion, h: Float[Array, "*batch"], force: Force
+    ) -> Any:
         """What it remembers at the start of the first part, of length `h` (s)."""
 
     @abstractmethod
@@ -99,11 +103,11 @@ class AbstractLoad(eqx.Module):
     def advance(
         self,
         at: Any,
-        x: Array,
+        x: Float[Array, "*batch 3"],
         environment: EnvironmentMotion,
-        h: Array,
+        h: Float[Array, "*batch"],
         force: Force,
-    ) -> tuple[Any, Array]:
+    ) -> tuple[Any, Float[Array, "*batch"]]:
         """What it remembers at the part's end, and the output force there, N."""
 
 
@@ -138,24 +142,33 @@ class Driven(AbstractLoad):
         """The environment's motion."""
         return _moved(part, self.move(at, environment_of(part), part.h))
 
-    def begin(self, environment: EnvironmentMotion, h: Array, force: Force) -> Motion:
+    def begin(
+        self, environment: EnvironmentMotion, h: Float[Array, "*batch"], force: Force
+    ) -> PistonMotion:
         """Motion at the start of the first part, of length `h`."""
-        return Motion(environment.x[..., 0], _speed(environment, h), jnp.zeros_like(h))
+        return PistonMotion(
+            environment.x[..., 0], _speed(environment, h), jnp.zeros_like(h)
+        )
 
-    def move(self, at: Motion, environment: EnvironmentMotion, h: Array) -> Array:
+    def move(
+        self,
+        at: PistonMotion,
+        environment: EnvironmentMotion,
+        h: Float[Array, "*batch"],
+    ) -> Float[Array, "*batch 3"]:
         """The piston's place at start, middle and end of the part, [..., 3], m."""
         return environment.x
 
     def advance(
         self,
-        at: Motion,
-        x: Array,
+        at: PistonMotion,
+        x: Float[Array, "*batch 3"],
         environment: EnvironmentMotion,
-        h: Array,
+        h: Float[Array, "*batch"],
         force: Force,
-    ) -> tuple[Motion, Array]:
+    ) -> tuple[PistonMotion, Float[Array, "*batch"]]:
         """Motion at the part's end, and the force there, N."""
-        return Motion(x[..., 2], environment.v, environment.a), force(
+        return PistonMotion(x[..., 2], environment.v, environment.a), force(
             environment.v, environment.a
         )
 
@@ -167,9 +180,13 @@ class Inertia(AbstractLoad):
     second order, stable up to 2/h rad/s, and without damping of its own.
     """
 
-    mass: Array = param("kg", 150.0, 1e-3, 1e6, "load's mass")
-    stiffness: Array = param("N/m", 2e6, 0.0, 1e10, "its spring to the environment")
-    damping: Array = param("N*s/m", 2e3, 0.0, 1e8, "its damper to the environment")
+    mass: Float[Array, ""] = param("kg", 150.0, 1e-3, 1e6, "load's mass")
+    stiffness: Float[Array, ""] = param(
+        "N/m", 2e6, 0.0, 1e10, "its spring to the environment"
+    )
+    damping: Float[Array, ""] = param(
+        "N*s/m", 2e3, 0.0, 1e8, "its damper to the environment"
+    )
 
     def parts(self, inputs):
         """Those of the environment's motion."""
@@ -179,27 +196,36 @@ class Inertia(AbstractLoad):
         """Where the mass goes under its last acceleration."""
         return _moved(part, self.move(at, environment_of(part), part.h))
 
-    def begin(self, environment: EnvironmentMotion, h: Array, force: Force) -> Motion:
+    def begin(
+        self, environment: EnvironmentMotion, h: Float[Array, "*batch"], force: Force
+    ) -> PistonMotion:
         """At rest where the spring is slack, and the acceleration that follows."""
         rest = jnp.zeros_like(h)
         start = force(rest, rest)
         slope = force(rest, rest + 1) - start
         pull = -self.damping * _speed(environment, h)
-        return Motion(environment.x[..., 0], rest, (start - pull) / (self.mass - slope))
+        return PistonMotion(
+            environment.x[..., 0], rest, (start - pull) / (self.mass - slope)
+        )
 
-    def move(self, at: Motion, environment: EnvironmentMotion, h: Array) -> Array:
+    def move(
+        self,
+        at: PistonMotion,
+        environment: EnvironmentMotion,
+        h: Float[Array, "*batch"],
+    ) -> Float[Array, "*batch 3"]:
         """The piston's place at start, middle and end of the part, [..., 3], m."""
         step = h * (at.v + h / 2 * at.a)
         return jnp.stack([at.x, at.x + step / 2, at.x + step], axis=-1)
 
     def advance(
         self,
-        at: Motion,
-        x: Array,
+        at: PistonMotion,
+        x: Float[Array, "*batch 3"],
         environment: EnvironmentMotion,
-        h: Array,
+        h: Float[Array, "*batch"],
         force: Force,
-    ) -> tuple[Motion, Array]:
+    ) -> tuple[PistonMotion, Float[Array, "*batch"]]:
         """Motion at the part's end, and the force there, N.
 
         A mass before the load cell makes the force depend on the acceleration, along
@@ -213,4 +239,4 @@ class Inertia(AbstractLoad):
             x[..., 2] - environment.x[..., 2]
         )
         a = (rest - pull) / (self.mass + self.damping * h / 2 - slope)
-        return Motion(x[..., 2], half + h / 2 * a, a), rest + slope * a
+        return PistonMotion(x[..., 2], half + h / 2 * a, a), rest + slope * a

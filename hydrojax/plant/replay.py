@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
 from hydrojax.plant.friction import Sliding, run_linear
@@ -31,11 +31,11 @@ class Motion(NamedTuple):
     stretches.
     """
 
-    dx: Array
-    h: Array
-    speed0: Array
-    v: Array
-    F: Array
+    dx: Float[Array, "segments n-1 4"]
+    h: Float[Array, "segments n-1"]
+    speed0: Float[Array, "segments"]
+    v: Float[Array, "segments n"]
+    F: Float[Array, "segments n"]
 
 
 class Windows(NamedTuple):
@@ -49,23 +49,23 @@ class Windows(NamedTuple):
     segment.
     """
 
-    seg: Array
-    first: Array
-    before: Array
-    before_h: Array
-    u: Array
-    h: Array
-    P_s: Array
-    P_r: Array
-    t: Array
-    x: Array
-    v: Array
-    a: Array
-    F: Array
-    x_fine: Array
-    P_a1: Array
-    P_a2: Array
-    measured: Array
+    seg: Int[Array, "windows"]
+    first: Int[Array, "windows"]
+    before: Float[Array, "windows pre"]
+    before_h: Float[Array, "windows pre"]
+    u: Float[Array, "windows n"]
+    h: Float[Array, "windows n"]
+    P_s: Float[Array, "windows n"]
+    P_r: Float[Array, "windows n"]
+    t: Float[Array, "windows n"]
+    x: Float[Array, "windows n"]
+    v: Float[Array, "windows n"]
+    a: Float[Array, "windows n"]
+    F: Float[Array, "windows n"]
+    x_fine: Float[Array, "windows n-1 fine"]
+    P_a1: Float[Array, "windows n"]
+    P_a2: Float[Array, "windows n"]
+    measured: Float[Array, "windows scored 3"]
 
     @property
     def scored(self) -> int:
@@ -79,9 +79,9 @@ class Past(NamedTuple):
     `z` the bristle's deflection, `v` the piston's velocity; `speed` as in `State`.
     """
 
-    z: Array
-    speed: Array
-    v: Array
+    z: Float[Array, "segments n"]
+    speed: Float[Array, "segments n"] | Float[Array, "segments n films"]
+    v: Float[Array, "segments n"]
 
     def within(self, w: Windows) -> Past:
         """The same at the windows' ticks, [W, lead+T] each."""
@@ -105,8 +105,8 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
     z_0, w_0 = jnp.zeros(s), motion.speed0
 
     def at_ticks(start, keep, add, every=quarters):
-        scenario = run_linear(keep, add, start)[:, every - 1 :: every]
-        return jnp.concatenate([start[:, None], scenario], axis=1)
+        states = run_linear(keep, add, start)[:, every - 1 :: every]
+        return jnp.concatenate([start[:, None], states], axis=1)
 
     z = at_ticks(z_0, *rig.mechanics.bristle_map(dx))
     speed = at_ticks(w_0, *rig.mechanics.speed_map(dx, h))
@@ -120,16 +120,18 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
     return Past(z, speed, v)
 
 
-def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
+def pressures(
+    rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
+) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
     """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa."""
 
-    def warm(memory, tick):
-        return rig.command_step(memory, *tick)[0], None
+    def warm(memory, held):
+        return rig.command_step(memory, *held)[0], None
 
-    def advance(carry, tick):
+    def advance(carry, inputs):
         memory, P = carry
-        memory, opening = rig.command_step(memory, tick.u, tick.h)
-        P = rig.pressure_step(P, opening, tick)
+        memory, opening = rig.command_step(memory, inputs.u, inputs.h)
+        P = rig.pressure_step(P, opening, inputs)
         return (memory, P), P
 
     memory = rig.command_init(w.before[:, 0])
@@ -138,7 +140,7 @@ def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
     def ends(p):
         return jnp.stack([p[:, :-1], p[:, 1:]], axis=-1)
 
-    ticks = StepInput(
+    inputs = StepInput(
         h=w.h[:, :-1],
         u=w.u[:, :-1],
         P_s=ends(w.P_s),
@@ -150,16 +152,18 @@ def pressures(rig: Rig, w: Windows, P_0: Array) -> tuple[Array, Array]:
         t=w.t[:, 1:],
         F=ends(w.F) if rig.stretch else None,
     )
-    ticks = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), ticks)
+    inputs = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), inputs)
     start = (P_0[:, 0], P_0[:, 1])
-    _, (P_a1, P_a2) = jax.lax.scan(advance, (memory, start), ticks)
+    _, (P_a1, P_a2) = jax.lax.scan(advance, (memory, start), inputs)
     return (
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),
     )
 
 
-def _sense(channels: tuple, y: Array, h: Array) -> Array:
+def _sense(
+    channels: tuple, y: Float[Array, "windows n"], h: Float[Array, "windows n"]
+) -> Float[Array, "windows n"]:
     """A sensor's reading of `y` [W, n] along its second axis."""
     slope = (y[:, 1] - y[:, 0]) / h[:, 0]
     for channel in channels:
@@ -167,7 +171,13 @@ def _sense(channels: tuple, y: Array, h: Array) -> Array:
     return y
 
 
-def forces(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, past: Past) -> Array:
+def forces(
+    rig: Rig,
+    w: Windows,
+    P_a1: Float[Array, "windows n"],
+    P_a2: Float[Array, "windows n"],
+    past: Past,
+) -> Float[Array, "windows n"]:
     """The output force at every tick, before the load cell, [W, lead+T], N.
 
     Each tick's is its own affair: `P_a1`, `P_a2` [W, lead+T] from `pressures` or the
@@ -180,7 +190,13 @@ def forces(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, past: Past) -> Array:
     return rig.output_force(at)
 
 
-def sensed(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, F: Array) -> Array:
+def sensed(
+    rig: Rig,
+    w: Windows,
+    P_a1: Float[Array, "windows n"],
+    P_a2: Float[Array, "windows n"],
+    F: Float[Array, "windows n"],
+) -> Float[Array, "windows scored 3"]:
     """What the sensors read of signals [W, lead+T], [W, T, 3]; linear in them."""
     lead = w.x.shape[1] - w.scored
     y = [
@@ -191,6 +207,12 @@ def sensed(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, F: Array) -> Array:
     return jnp.stack([c[:, lead:] for c in y], axis=-1)
 
 
-def readings(rig: Rig, w: Windows, P_a1: Array, P_a2: Array, past: Past) -> Array:
+def readings(
+    rig: Rig,
+    w: Windows,
+    P_a1: Float[Array, "windows n"],
+    P_a2: Float[Array, "windows n"],
+    past: Past,
+) -> Float[Array, "windows scored 3"]:
     """What the sensors read, [W, T, 3] (P_a1, P_a2 in Pa, F in N); see `forces`."""
     return sensed(rig, w, P_a1, P_a2, forces(rig, w, P_a1, P_a2, past))

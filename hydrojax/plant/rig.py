@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Chambers, Point
@@ -35,8 +35,8 @@ class Rig(eqx.Module):
     valve: AbstractValve
     chambers: Chambers
     mechanics: Friction
-    force_area_1: Array
-    force_area_2: Array
+    force_area_1: Float[Array, ""]
+    force_area_2: Float[Array, ""]
     command: tuple = ()
     orifice: tuple = ()
     supply: tuple = ()
@@ -53,13 +53,17 @@ class Rig(eqx.Module):
 
     # -- the pieces of the step, each elementwise over any leading axes --
 
-    def command_init(self, u: Array) -> tuple:
+    def command_init(self, u: Float[Array, "*batch"]) -> tuple:
         """Memories of the command's path at rest under `u`."""
         return tuple(c.init(u) for c in self.command)
 
     def command_parts(
-        self, memory: tuple, u: Array, h: Array, parts: int = PARTS
-    ) -> tuple[tuple, list[Array]]:
+        self,
+        memory: tuple,
+        u: Float[Array, "*batch"],
+        h: Float[Array, "*batch"],
+        parts: int = PARTS,
+    ) -> tuple[tuple, list[Float[Array, "*batch"]]]:
         """The command's way to the spool over one tick, cut into `parts`.
 
         Returns the memories and the spool's mean opening over each part.
@@ -71,8 +75,8 @@ class Rig(eqx.Module):
         return tuple(out), openings
 
     def command_step(
-        self, memory: tuple, u: Array, h: Array
-    ) -> tuple[tuple, tuple[Array, ...]]:
+        self, memory: tuple, u: Float[Array, "*batch"], h: Float[Array, "*batch"]
+    ) -> tuple[tuple, tuple[Float[Array, "*batch"], ...]]:
         """The same over a whole tick.
 
         Returns the memories and the opening over the tick, as `Point` has it.
@@ -87,8 +91,12 @@ class Rig(eqx.Module):
         return memory, (open_p / PARTS, open_n / PARTS)
 
     def openings(
-        self, memory: tuple, u: Array, h: Array, parts: int
-    ) -> tuple[tuple, list[tuple[Array, ...]]]:
+        self,
+        memory: tuple,
+        u: Float[Array, "*batch"],
+        h: Float[Array, "*batch"],
+        parts: int,
+    ) -> tuple[tuple, list[tuple[Float[Array, "*batch"], ...]]]:
         """The memories after a tick, and the opening over each of its `parts`."""
         if parts == 1:
             memory, opening = self.command_step(memory, u, h)
@@ -96,7 +104,9 @@ class Rig(eqx.Module):
         memory, spools = self.command_parts(memory, u, h, parts)
         return memory, [(spool,) for spool in spools]
 
-    def pressure_rates(self, at: Point) -> tuple[Array, Array]:
+    def pressure_rates(
+        self, at: Point
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Rates of both chamber pressures, Pa/s; (12)-(15)."""
         q_1, q_2 = self.valve.flows(at, self.supply, self.orifice)
         for effect in self.flow:
@@ -105,8 +115,11 @@ class Rig(eqx.Module):
         return self.chambers.rates(at, q_1, q_2, self.compliance, self.volume)
 
     def pressure_step(
-        self, P: tuple[Array, Array], opening: tuple[Array, ...], inputs: StepInput
-    ) -> tuple[Array, Array]:
+        self,
+        P: tuple[Float[Array, "*batch"], Float[Array, "*batch"]],
+        opening: tuple[Float[Array, "*batch"], ...],
+        inputs: StepInput,
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Both pressures over one tick, by the midpoint rule in n substeps.
 
         Each substep moves the piston by its exact displacement, so what is left of
@@ -133,11 +146,13 @@ class Rig(eqx.Module):
             P = (P[0] + h * second[0], P[1] + h * second[1])
         return P
 
-    def drive_force(self, P_a1: Array, P_a2: Array) -> Array:
+    def drive_force(
+        self, P_a1: Float[Array, "*batch"], P_a2: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
         """Net drive force P, N; (16) with two areas."""
         return self.force_area_2 * P_a2 - self.force_area_1 * P_a1
 
-    def output_force(self, at: Sliding) -> Array:
+    def output_force(self, at: Sliding) -> Float[Array, "*batch"]:
         """F at the load cell, before the sensor, N; (22) and the added forces."""
         f_c = self.mechanics.sliding_force(at, self.level, self.friction)
         P = self.drive_force(at.P_a1, at.P_a2)
@@ -163,7 +178,9 @@ class Rig(eqx.Module):
             speed = jnp.stack([speed, *films], axis=-1)
         return state._replace(z=z, speed=speed)
 
-    def films(self, speed: Array) -> tuple[Array, Array | float]:
+    def films(
+        self, speed: Float[Array, "*batch"] | Float[Array, "*batch films"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"] | float]:
         """The filtered speed, and by how much the films' speed differs from `abs(v)`.
 
         `speed` as in `State`.
@@ -190,7 +207,9 @@ class Rig(eqx.Module):
             lag=lag,
         )
 
-    def read(self, state: State, F: Array, h: Array) -> tuple[State, dict[str, Array]]:
+    def read(
+        self, state: State, F: Float[Array, "*batch"], h: Float[Array, "*batch"]
+    ) -> tuple[State, dict[str, Float[Array, "*batch"]]]:
         """What the sensors say at the end of a tick of length `h`."""
         m_1, P_a1 = self.sense(self.gauge(0), state.sensor_P[0], state.P[0], h)
         m_2, P_a2 = self.sense(self.gauge(1), state.sensor_P[1], state.P[1], h)
@@ -203,8 +222,8 @@ class Rig(eqx.Module):
         return tuple(c.of_chamber(i) for c in self.sensor_P)
 
     def sense_init(
-        self, channels: tuple, y: Array, slope: Array
-    ) -> tuple[tuple, Array]:
+        self, channels: tuple, y: Float[Array, "*batch"], slope: Float[Array, "*batch"]
+    ) -> tuple[tuple, Float[Array, "*batch"]]:
         """Memories and reading of a sensor whose signal has run along a line."""
         memories = []
         for channel in channels:
@@ -212,7 +231,13 @@ class Rig(eqx.Module):
             memories.append(memory)
         return tuple(memories), y
 
-    def sense(self, channels: tuple, memory: tuple, y: Array, h: Array):
+    def sense(
+        self,
+        channels: tuple,
+        memory: tuple,
+        y: Float[Array, "*batch"],
+        h: Float[Array, "*batch"],
+    ):
         """One sensor over one tick at whose end the signal is `y`."""
         out = []
         for channel, m in zip(channels, memory, strict=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 
 class StepInput(NamedTuple):
@@ -23,18 +23,18 @@ class StepInput(NamedTuple):
     chambers, `P` [...] is the net drive force (N), held.
     """
 
-    h: Array
-    u: Array
-    P_s: Array
-    P_r: Array
-    x: Array
-    dx: Array | None
-    v: Array
-    a: Array
-    t: Array
-    F: Array | None = None
-    F_rate: Array | None = None
-    P: Array | None = None
+    h: Float[Array, "*batch"]
+    u: Float[Array, "*batch"]
+    P_s: Float[Array, "*batch 2"]
+    P_r: Float[Array, "*batch 2"]
+    x: Float[Array, "*batch n"] | Float[Array, "*batch parts 3"]
+    dx: Float[Array, "*batch m"] | None
+    v: Float[Array, "*batch"] | Float[Array, "*batch parts"]
+    a: Float[Array, "*batch"] | Float[Array, "*batch parts"]
+    t: Float[Array, "*batch"]
+    F: Float[Array, "*batch 2"] | None = None
+    F_rate: Float[Array, "*batch"] | None = None
+    P: Float[Array, "*batch"] | None = None
 
 
 class State(NamedTuple):
@@ -46,9 +46,9 @@ class State(NamedTuple):
     """
 
     command: tuple
-    P: tuple[Array, Array]
-    z: Array
-    speed: Array
+    P: tuple[Float[Array, "*batch"], Float[Array, "*batch"]]
+    z: Float[Array, "*batch"]
+    speed: Float[Array, "*batch"] | Float[Array, "*batch films"]
     sensor_P: tuple  # of chamber 1, of chamber 2
     sensor_F: tuple
     rod: tuple = ()

@@ -21,7 +21,7 @@ from hydrojax.plant.stretch import ahead
 HALVINGS = 24
 """Of the bracket that holds the force: to 1e-7 of a tick's change."""
 
-Signals = dict[str, Float[Array, "..."]]
+Signals = dict[str, Float[Array, "*batch"]]
 """`P_a1`, `P_a2` (Pa) and `F` (N) as the sensors read them, and `true_F` (N), the
 output force itself."""
 
@@ -29,7 +29,7 @@ output force itself."""
 def start(
     rig: Rig,
     inputs: StepInput,
-    P: tuple[Float[Array, ...], Float[Array, ...]],
+    P: tuple[Float[Array, "*batch"], Float[Array, "*batch"]],
     load: AbstractLoad | None = None,
 ) -> tuple[State, Signals]:
     """A rig at rest at the start of a tick.
@@ -110,7 +110,12 @@ def step(
     return state, signals
 
 
-def act(rig: Rig, state: State, opening: tuple[Array, ...], inputs: StepInput) -> State:
+def act(
+    rig: Rig,
+    state: State,
+    opening: tuple[Float[Array, "*batch"], ...],
+    inputs: StepInput,
+) -> State:
     """Pressures, bristle and filtered speed after a tick under `opening`."""
     if rig.stretch and inputs.F is None:
         F = _stretching_force(rig, state, opening, inputs)

@@ -9,23 +9,25 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.plant.state import StepInput
 
 
-def ahead(stretches: tuple, F: Array) -> Array:
+def ahead(stretches: tuple, F: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """How far the piston stands ahead of the encoder under `F`, m."""
     return sum((e.stretch(F) for e in stretches), start=jnp.zeros_like(F))
 
 
-def along(ends: Array, parts: int) -> Array:
+def along(ends: Float[Array, "*batch 2"], parts: int) -> Float[Array, "*batch parts+1"]:
     """Values at `parts + 1` even points of a line, [..., parts + 1]; its `ends`."""
     start, end = ends[..., :1], ends[..., 1:]
     return start + jnp.linspace(0.0, 1.0, parts + 1) * (end - start)
 
 
-def rate(F: Array, h: Array) -> Array:
+def rate(
+    F: Float[Array, "segments n"], h: Float[Array, "segments n-1"]
+) -> Float[Array, "segments n"]:
     """Rate of `F` [S, N] at every tick, from both neighbours; `h` [S, N-1]."""
     t = jnp.pad(jnp.cumsum(h, axis=1), ((0, 0), (1, 0)))
 
@@ -36,14 +38,14 @@ def rate(F: Array, h: Array) -> Array:
     return wide(F) / wide(t)
 
 
-def place(stretches: tuple, inputs: StepInput) -> Array:
+def place(stretches: tuple, inputs: StepInput) -> Float[Array, "*batch n"]:
     """The piston's place where the encoder says `inputs.x`, m."""
     if not stretches or inputs.F is None:
         return inputs.x
     return inputs.x + ahead(stretches, along(inputs.F, inputs.x.shape[-1] - 1))
 
 
-def moves(stretches: tuple, inputs: StepInput) -> Array:
+def moves(stretches: tuple, inputs: StepInput) -> Float[Array, "*batch m"]:
     """The piston's displacement where the encoder says `inputs.dx`, m."""
     dx = jnp.diff(inputs.x[..., ::2]) if inputs.dx is None else inputs.dx
     if not stretches or inputs.F is None:
@@ -52,12 +54,14 @@ def moves(stretches: tuple, inputs: StepInput) -> Array:
     return dx + jnp.diff(ahead(stretches, F), axis=-1)
 
 
-def ahead_rate(stretches: tuple, F: Array, F_rate: Array) -> Array:
+def ahead_rate(
+    stretches: tuple, F: Float[Array, "*batch"], F_rate: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
     """The piston's velocity beyond the encoder's while `F` changes at `F_rate`, m/s."""
     return jax.jvp(lambda F: ahead(stretches, F), (F,), (F_rate,))[1]
 
 
-def velocity(stretches: tuple, inputs: StepInput) -> Array:
+def velocity(stretches: tuple, inputs: StepInput) -> Float[Array, "*batch"]:
     """The piston's velocity at the tick's end, m/s.
 
     Without a logged force it is the encoder's: the piston is massless, and friction

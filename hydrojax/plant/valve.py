@@ -25,7 +25,7 @@ _C_UNIT = "m^3/(s*{u}*Pa^0.5)"
 
 def root_flow(
     drop: ArrayLike, core: float = LAMINAR_CORE, wider: ArrayLike = 0.0
-) -> Array:
+) -> Float[Array, "*batch"]:
     """Signed square root of a pressure drop with a laminar core, in Pa^0.5.
 
     `drop / (drop^2 + core^2)^(1/4)`: odd, smooth, slope `core^-0.5` at zero, and
@@ -37,7 +37,7 @@ def root_flow(
 
 
 @jax.custom_jvp
-def per_fourth_root(a: Array) -> Array:
+def per_fourth_root(a: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """`a**(-1/4)` for a > 0, within 4 units of the last place.
 
     By a guess from the bits and two steps of the series of (1 - t)^(-1/4): roots and
@@ -69,7 +69,9 @@ def _slope(at, along):
     return y, (-0.25 * (y * y_2 * y_2)) * da
 
 
-def sides(spool: Array) -> tuple[Array, Array]:
+def sides(
+    spool: Float[Array, "*batch"],
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """The spool's opening toward either side, both >= 0."""
     return jnp.where(spool > 0, spool, 0.0), -jnp.where(spool > 0, 0.0, spool)
 
@@ -101,14 +103,14 @@ class AbstractValve(eqx.Module):
 class MeteringEdges(AbstractValve):
     """Four metering edges, each with a constant of its own, (12)(13)."""
 
-    c_p1: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "supply to chamber 1")
-    c_n1: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "chamber 1 to return")
-    c_p2: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "supply to chamber 2")
-    c_n2: Array = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "chamber 2 to return")
+    c_p1: Float[Array, ""] = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "supply to chamber 1")
+    c_n1: Float[Array, ""] = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "chamber 1 to return")
+    c_p2: Float[Array, ""] = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "supply to chamber 2")
+    c_n2: Float[Array, ""] = param(_C_UNIT, 2.2e-9, 1e-10, 1e-6, "chamber 2 to return")
 
     def flows(
         self, at: Point, drops: tuple = (), orifices: tuple = ()
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Flows into chambers 1 and 2, m^3/s.
 
         `drops` are effects ahead of the valve: each maps the conductance of the edge
@@ -137,7 +139,9 @@ class MeteringEdges(AbstractValve):
         q_2 = q_2 - self.c_n2 * open_p * root(at.P_a2 - at.P_r)
         return q_1, q_2
 
-    def _on_one_side(self, at: Point, drops: tuple) -> tuple[Array, Array]:
+    def _on_one_side(
+        self, at: Point, drops: tuple
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """The same where two of the four edges are shut: half of the roots."""
         (spool,) = at.opening
         up = spool > 0

@@ -66,7 +66,7 @@ def symbol(name: str) -> str:
 
 
 def signal_unit(name: str, command: str = "") -> str:
-    """SI unit of a signal of a `Series`, as its name tells; `command` is that of u."""
+    """SI unit of a signal of a `Series`, by its name; `command` is that of u."""
     stem = re.sub(r"[^A-Za-z_].*", "", name.removeprefix("abs("))
     rate, stem = stem.endswith("_rate"), stem.removesuffix("_rate")
     units = {"x": "m", "z": "m", "v": "m/s", "a": "m/s^2", "psi": "rad", "t": "s"}
@@ -92,7 +92,7 @@ def p_text(p: float) -> str:
     return f"{mantissa} × 10{raised(int(exponent))}"
 
 
-def quantity(
+def quantity_text(
     value: float, unit: str, std: float | None = None, figures: int = 4
 ) -> str:
     """A number as an engineer writes it: `857.6 ± 1.2 MPa`.

@@ -241,6 +241,6 @@ def _load(file: RigFile) -> Driven | Inertia:
         if value < 0 or (name == "mass" and value == 0):
             raise InputError(
                 f"{file.path}: [load] {name} must be "
-                f"{'above' if name == 'mass' else 'at least'} 0, not {value:g}; mend it"
+                f"{'above' if name == 'mass' else 'at least'} 0, not {value:g}"
             )
     return Inertia(**{name: _array(v) for name, v in rest.items()})

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from hydrojax import units
-from hydrojax.control.adaptive import ESTIMATES, RATES, Estimates, Law, mean_area
+from hydrojax.control.adaptive import Law, mean_area
 from hydrojax.control.base import AbstractController
+from hydrojax.control.estimates import ESTIMATES, RATES, Estimates
 from hydrojax.errors import InputError
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.rig import Rig
@@ -119,8 +120,8 @@ def read_keys(where: str, table: Mapping[str, object], spec: RigFile) -> Values:
             raise InputError(f"{where} {name}: {given!r} is upside down; exchange them")
         positive = name in ("rate", "kappa", "u_max")
         if (not key.pair and lower < 0) or (positive and lower <= 0):
-            least = "above 0" if positive else "0 or more"
-            raise InputError(f"{where} {name}: {given!r} must be {least}; mend it")
+            lowest = "above 0" if positive else "0 or more"
+            raise InputError(f"{where} {name}: {given!r} must be {lowest}")
         out[name] = (lower, upper)
     return out
 
@@ -129,7 +130,7 @@ def file_keys(spec: RigFile) -> Values:
     """The keys that the file's [controller] gives: both ends, SI but for volts.
 
     Raises:
-        InputError: a key, unit or value that will not do.
+        InputError: an invalid key, unit or value.
     """
     return read_keys(f"{spec.path}: [controller]", spec.controller, spec)
 

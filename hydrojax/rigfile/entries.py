@@ -39,7 +39,7 @@ class Given:
     reciprocal: bool  # given under `spec.outside`
 
 
-def quantities(
+def section_values(
     where: str, given: Mapping[str, object], wants: Mapping[str, str]
 ) -> dict[str, float]:
     """The quantities of one table in SI; `wants` are its keys and their units.
@@ -86,7 +86,7 @@ def givens(
     return found
 
 
-def command_unit(givens: Iterable[Given]) -> str:
+def unit_of_command(givens: Iterable[Given]) -> str:
     """The command's unit, V or 1, that all the constants agree on.
 
     Raises:

@@ -3,7 +3,7 @@
 The controller's names and units are the paper's (`k_p` in V/kN, `rho_a`, `tau_d`), an
 estimate's bounds are `k_cp_lower` and `k_cp_upper`, and `k_cp_hat` sets both; `k_1`
 and `A_a`, which no plant parameter is called, need no `_hat`. A bare `beta` or `k_cp`
-is the plant's: the law goes on believing what it believed. Effects are
+is the plant's: the law keeps its own value. Effects are
 `valve_lag.omega`, the load `load.mass`, the noise `noise.F`. The operating point is
 `x`, `v`, `F_0`, `P_0`, `P_s`, `P_r`, and `amplitude` the size of the force that is
 asked for about it.
@@ -21,7 +21,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax import units
-from hydrojax.control.adaptive import RATES, Estimates, Law
+from hydrojax.control.adaptive import Law
+from hydrojax.control.estimates import RATES, Estimates
 from hydrojax.control.loop import Loop
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
@@ -66,7 +67,7 @@ class Quantity:
     Attributes:
         name: as users write it.
         unit: as a bare number is taken and a value is shown.
-        says: one phrase.
+        description: one phrase.
         factor: SI as it is stored, per `unit`.
         reciprocal: whether the reciprocal is stored.
         positive: whether a value must be above 0.
@@ -115,7 +116,7 @@ class Quantity:
             per = units.to_si(1.0, self.unit, want, where)
             number = units.to_si(number, written, want, where) / per
         if self.positive and number <= 0:
-            raise InputError(f"{where}: {text!r} must be above 0; mend it")
+            raise InputError(f"{where}: {text!r} must be above 0")
         return number
 
 

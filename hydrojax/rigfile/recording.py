@@ -62,7 +62,9 @@ def scenario_columns(
     return {"time": ("s", t), name: (unit, place), "F_d": ("N", F_d)}
 
 
-def columns(run: Run, spec: RigFile) -> dict[str, tuple[str, Float[np.ndarray, "n"]]]:
+def log_columns(
+    run: Run, spec: RigFile
+) -> dict[str, tuple[str, Float[np.ndarray, "n"]]]:
     """A run's log: unit and values by the contract's names."""
     place, unit, values = place_column(run["x"], spec)
     out = {
@@ -82,7 +84,7 @@ def write_log(
     """Write a log, whole or not at all.
 
     Args:
-        path: its name's ending says what it is: one of `KINDS`.
+        path: its name's ending is the kind of file: one of `KINDS`.
         table: unit and values [n] by name.
 
     Raises:
@@ -111,7 +113,7 @@ def write_log(
 
 
 def check_kind(path: Path) -> None:
-    """Refuse a name that says no kind of log."""
+    """Refuse a name that does not end in one of `KINDS`."""
     if not path.name.lower().endswith(KINDS):
         raise InputError(
             f"{path}: not a kind of log; call it .csv, .csv.gz, .parquet or .mat"

@@ -14,7 +14,13 @@ from hydrojax.logs.signals import SIGNALS, Channel
 from hydrojax.parameters import Spec
 from hydrojax.plant.layout import LAYOUTS, Layout
 from hydrojax.plant.valve import AbstractValve
-from hydrojax.rigfile.entries import Entry, command_unit, entry, givens, quantities
+from hydrojax.rigfile.entries import (
+    Entry,
+    entry,
+    givens,
+    section_values,
+    unit_of_command,
+)
 from hydrojax.rigfile.plain import to_text
 from hydrojax.rigfile.sections import ControllerValue, check_known, read_sections
 from hydrojax.rigfile.vocabulary import (
@@ -31,7 +37,7 @@ SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
 
 @dataclass(frozen=True)
 class RigFile:
-    """A rig file, checked, in SI; only what the file says, no defaults.
+    """A rig file, checked, in SI; only what the file gives, no defaults.
 
     Attributes:
         name: the rig's, or the file's if it gives none.
@@ -94,7 +100,7 @@ class RigFile:
             raise InputError(f"{path}: cannot be read; check the path") from err
         except ValueError as err:  # not even text
             detail = " ".join(str(err).split())
-            raise InputError(f"{path}: not TOML: {detail}; mend that line") from err
+            raise InputError(f"{path}: not TOML: {detail}; correct that line") from err
         return cls.from_text(text, str(path), valve)
 
     @classmethod
@@ -205,7 +211,7 @@ def read_rig(
         name: givens(f"{path}: [effects.{name}]", table, effects[name])
         for name, table in file.effects.items()
     }
-    command = command_unit([*base, *(g for gs in added.values() for g in gs)])
+    command = unit_of_command([*base, *(g for gs in added.values() for g in gs)])
     noise_units = {
         name: units.with_command(unit, command)
         for name, unit in SIGNALS.items()
@@ -214,10 +220,10 @@ def read_rig(
     spec = RigFile(
         name=file.name or Path(path).stem,
         layout=LAYOUTS[file.layout],
-        geometry=quantities(f"{path}: [geometry]", file.geometry, GEOMETRY),
-        supply=quantities(f"{path}: [supply]", file.supply, SUPPLY_UNITS),
-        sensors=quantities(f"{path}: [sensors]", file.sensors, noise_units),
-        output_load=quantities(f"{path}: [load]", file.load, LOAD),
+        geometry=section_values(f"{path}: [geometry]", file.geometry, GEOMETRY),
+        supply=section_values(f"{path}: [supply]", file.supply, SUPPLY_UNITS),
+        sensors=section_values(f"{path}: [sensors]", file.sensors, noise_units),
+        output_load=section_values(f"{path}: [load]", file.load, LOAD),
         channels=file.channels,
         parameters={g.field: entry(g, command) for g in base},
         effects={
@@ -245,8 +251,7 @@ def _check(spec: RigFile) -> None:
         for key, value in values.items():
             if value <= 0.0 and key not in ("x_mid", "x_from", "x_to"):
                 raise InputError(
-                    f"{spec.path}: [{section}] {key} must be above 0, not {value:g}; "
-                    "mend it"
+                    f"{spec.path}: [{section}] {key} must be above 0, not {value:g}"
                 )
     ends = [spec.geometry[key] for key in ("x_from", "x_to") if key in spec.geometry]
     if len(ends) == 1 or (ends and ends[0] >= ends[1]):
@@ -257,5 +262,5 @@ def _check(spec: RigFile) -> None:
     P_s, P_r = (spec.supply.get(key) for key in ("P_s", "P_r"))
     if P_s is not None and P_s <= (P_r or 0.0):
         raise InputError(
-            f"{spec.path}: [supply] P_s must be above P_r; exchange or mend them"
+            f"{spec.path}: [supply] P_s must be above P_r; exchange or correct them"
         )

@@ -50,7 +50,7 @@ def read_sections(path: str, text: str) -> Sections:
         tree = tomllib.loads(text)
     except ValueError as err:
         detail = " ".join(str(err).split())
-        raise InputError(f"{path}: not TOML: {detail}; mend that line") from err
+        raise InputError(f"{path}: not TOML: {detail}; correct that line") from err
     check_known(f"{path}:", tree, Sections.model_fields, "key or section")
     try:
         return Sections.model_validate(tree)

@@ -119,7 +119,7 @@ class Simulation:
         Raises:
             InputError: the run is shorter than a log may be, or a signal does not move.
         """
-        table = recording.columns(self.run, self.file)
+        table = recording.log_columns(self.run, self.file)
         frame = pd.DataFrame({name: values for name, (_, values) in table.items()})
         units = {name: unit for name, (unit, _) in table.items()}
         return Log.from_frame(frame, units, name="simulation")
@@ -131,7 +131,7 @@ class Simulation:
             InputError: another ending.
             OSError: it cannot be written.
         """
-        recording.write_log(Path(path), recording.columns(self.run, self.file))
+        recording.write_log(Path(path), recording.log_columns(self.run, self.file))
 
     def plot(self) -> Figure:
         """Forces, pressures, command and position over time."""

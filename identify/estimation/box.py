@@ -12,20 +12,21 @@ from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
 from hydrojax.errors import InputError
-from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Free, Problem
 from hydrojax.identify.preparation.data import Data
 from hydrojax.plant.friction import Theta
 
 LEAN = 0.3
 """Prior of a stretch's theta_f about the fit of all, in units of its scale: it decides
-only what a short stretch does not tell, such as k_cp against k_0."""
+only what a short stretch does not identify, such as k_cp against k_0."""
 
 LEAST_WINDOWS = 8
-"""Windows of a stretch, so that seven parameters can be told."""
+"""Windows of a stretch, so that seven parameters are identifiable."""
 
 DRAWS = 20_000
 
@@ -34,29 +35,40 @@ DRAWS = 20_000
 class Stretch:
     """Friction in one stretch of one log; SI.
 
-    `theta` [n] and `covariance` [n, n] are of the parameters that are free.
+    Attributes:
+        log: its name.
+        start: of the stretch, since the log began, s.
+        seconds: its length.
+        theta: the friction parameters that are free.
+        covariance: of `theta`.
     """
 
     log: str
     start: float
     seconds: float
-    theta: np.ndarray
-    covariance: np.ndarray
+    theta: Float[np.ndarray, "n"]
+    covariance: Float[np.ndarray, "n n"]
 
 
 @dataclass(frozen=True)
 class Box:
-    """The smallest box that holds theta_f at a confidence; [n] each, SI.
+    """The smallest box that holds theta_f at a confidence; SI.
 
-    `between` [n, n] is the covariance of theta_f between stretches, their own
-    uncertainty taken out.
+    Attributes:
+        names: of the n parameters.
+        mean: over the stretches.
+        between: covariance of theta_f between stretches, their own uncertainty taken
+            out.
+        lower: ends of the box.
+        upper: ends of the box.
+        confidence: that all n are inside, jointly.
     """
 
     names: tuple[str, ...]
-    mean: np.ndarray
-    between: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
+    mean: Float[np.ndarray, "n"]
+    between: Float[np.ndarray, "n n"]
+    lower: Float[np.ndarray, "n"]
+    upper: Float[np.ndarray, "n"]
     confidence: float
 
 
@@ -66,7 +78,7 @@ def friction_names(problem: Problem) -> tuple[str, ...]:
 
 
 def fit_stretches(
-    problem: Problem, point: Point, data: Data, logs: Sequence[str], seconds: float
+    problem: Problem, point: FitPoint, data: Data, logs: Sequence[str], seconds: float
 ) -> list[Stretch]:
     """Fit theta_f in every stretch of `seconds`, all else held at `point`.
 
@@ -109,7 +121,7 @@ def fit_stretches(
 
 
 def _fit(
-    problem: Problem, point: Point, names: tuple[str, ...], part: np.ndarray
+    problem: Problem, point: FitPoint, names: tuple[str, ...], part: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """theta_f of some windows, and its covariance."""
     at = [problem.model.names.index(n) for n in names]

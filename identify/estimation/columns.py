@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hydrojax.parameters import get, parameter_specs, put, scales, specs
 from hydrojax.plant.places import hydraulic_names
@@ -34,20 +34,23 @@ NUISANCE = 2 + SUPPLY_BLOCKS
 """What each window has of its own: two initial pressures, and the supply's errors."""
 
 
-class Model(NamedTuple):
+class ParametricRig(NamedTuple):
     """A rig and the order of its parameters: hydraulic ones first.
 
-    `scale` and `value0` are what a coordinate of the optimiser means: value =
-    scale * coordinate.
+    Attributes:
+        rig: the rig.
+        names: of its n parameters.
+        hydraulic: how many of them, at the head, the pressures depend on.
+        scale: unit of the optimiser's coordinate of each parameter, SI.
     """
 
     rig: Rig
     names: tuple[str, ...]
     hydraulic: int
-    scale: np.ndarray
+    scale: Float[np.ndarray, "n"]
 
     @classmethod
-    def of(cls, rig: Rig) -> Model:
+    def of(cls, rig: Rig) -> ParametricRig:
         """The model of a rig, with every parameter it has."""
         spec = parameter_specs(rig)
         first = hydraulic_names(rig)
@@ -55,35 +58,43 @@ class Model(NamedTuple):
         return cls(rig, names, len(first), scales(spec[n] for n in names))
 
     @property
-    def values(self) -> Array:
-        """The rig's own values, [n], SI."""
+    def values(self) -> Float[Array, "n"]:
+        """The rig's own values, SI."""
         return get(self.rig, self.names)
 
 
 class Batch(NamedTuple):
-    """What a fit runs on, as arrays; `noise` [3], `weight` [W] (0 for padding).
+    """What a fit runs on, as arrays.
 
-    `supply_noise` is the standard deviation of the measured P_s, Pa (0 where the log
-    has none): white noise there integrates to a drift of the pressures, which would
-    otherwise be taken for a fault of the model.
+    Attributes:
+        motion: of whole segments.
+        windows: cut from them.
+        P_0: first guess of the pressures at each window's first tick, Pa.
+        noise: standard deviation of each channel, SI; inf where it is not compared.
+        supply_noise: standard deviation of the measured P_s, Pa (0 where the log has
+            none): white noise there integrates to a drift of the pressures, which would
+            otherwise be taken for a fault of the model.
+        weight: of each window; 0 for padding.
     """
 
     motion: Motion
     windows: Windows
-    P_0: Array | np.ndarray
-    noise: Array | np.ndarray
-    supply_noise: Array | np.ndarray
-    weight: Array | np.ndarray
+    P_0: Float[Array | np.ndarray, "windows 2"]
+    noise: Float[Array | np.ndarray, "3"]
+    supply_noise: Float[Array | np.ndarray, ""]
+    weight: Float[Array | np.ndarray, "windows"]
 
 
 class Basis(NamedTuple):
-    """Directions in parameter space: [n_hydraulic, k_1] and [n_other, k_2], SI."""
+    """Directions in the space of hydraulic parameters, and of the others; SI."""
 
-    hydraulic: Array
-    other: Array
+    hydraulic: Float[Array, "n_1 k_1"]
+    other: Float[Array, "n_2 k_2"]
 
 
-def basis(model: Model, names: tuple[str, ...], slots: tuple[int, int]) -> Basis:
+def basis(
+    model: ParametricRig, names: tuple[str, ...], slots: tuple[int, int]
+) -> Basis:
     """One direction per named parameter, one unit of its scale; spare slots are 0.
 
     Raises:
@@ -105,7 +116,7 @@ def basis(model: Model, names: tuple[str, ...], slots: tuple[int, int]) -> Basis
 
 
 def slot_names(
-    model: Model, names: tuple[str, ...], slots: tuple[int, int]
+    model: ParametricRig, names: tuple[str, ...], slots: tuple[int, int]
 ) -> list[str | None]:
     """Which parameter stands in each column of `basis`, None for a spare one."""
     first = [n for n in names if model.names.index(n) < model.hydraulic]
@@ -133,7 +144,7 @@ class Recalled(NamedTuple):
     by: Past
 
 
-def recall(model: Model, values: Array, motion: Motion) -> Recalled:
+def recall(model: ParametricRig, values: Float[Array, "n"], motion: Motion) -> Recalled:
     """What friction remembers of the motion: once for all windows."""
     here = put(model.rig, model.names, values)
     names = memory_names(here)
@@ -146,16 +157,22 @@ def recall(model: Model, values: Array, motion: Motion) -> Recalled:
     return Recalled(*along(jnp.eye(len(names))))
 
 
-class Driven(NamedTuple):
-    """Both pressures [W, lead+T] and their derivatives [k_1 + NUISANCE, W, lead+T]."""
+class Pressures(NamedTuple):
+    """Both pressures (Pa), and their derivatives along k_1 hydraulic directions and
+    each of the windows' own unknowns (`NUISANCE`).
+    """
 
-    P: tuple[Array, Array]
-    by: tuple[Array, Array]
+    P: tuple[Float[Array, "windows ticks"], Float[Array, "windows ticks"]]
+    by: tuple[Float[Array, "k windows ticks"], Float[Array, "k windows ticks"]]
 
 
-def driven(
-    model: Model, values: Array, directions: Basis, batch: Batch, simulate: bool
-) -> Driven:
+def driven_pressures(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    directions: Basis,
+    batch: Batch,
+    simulate: bool,
+) -> Pressures:
     """The pressures along the hydraulic directions, the two initial pressures (per
     Pa), and the supply's error in each block (per standard deviation of its mean).
 
@@ -166,7 +183,7 @@ def driven(
     k_1 = directions.hydraulic.shape[1]
     if not simulate:
         still = jnp.zeros((k_1 + NUISANCE, *w.P_a1.shape))
-        return Driven((w.P_a1, w.P_a2), (still, still))
+        return Pressures((w.P_a1, w.P_a2), (still, still))
     ticks = w.P_s.shape[1]
     block = jnp.arange(ticks) * SUPPLY_BLOCKS // ticks
     of_mean = batch.supply_noise / np.sqrt(ticks / SUPPLY_BLOCKS)
@@ -177,7 +194,7 @@ def driven(
         return pressures(at, moved, batch.P_0 + P_shift)
 
     zero = (jnp.zeros(k_1), jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS))
-    return Driven(
+    return Pressures(
         *jax.vmap(
             lambda e: jax.jvp(run, zero, (e[:k_1], e[k_1 : k_1 + 2], e[k_1 + 2 :])),
             out_axes=(None, 0),
@@ -186,14 +203,14 @@ def driven(
 
 
 def sensitivities(
-    model: Model,
-    values: Array,
+    model: ParametricRig,
+    values: Float[Array, "n"],
     directions: Basis,
     w: Windows,
-    pressure: Driven,
+    pressure: Pressures,
     recalled: Recalled,
-) -> tuple[Array, Array]:
-    """Predictions [W, T, 3] and their derivatives [k + NUISANCE, W, T, 3], SI.
+) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "columns windows ticks 3"]]:
+    """Predictions and their derivatives along k + `NUISANCE` columns, SI.
 
     The columns are those of `directions`, then what each window has of its own;
     `pressure` is of these windows, `recalled` of the motion they are cut from.
@@ -239,7 +256,7 @@ def _partial(f, at: Array) -> tuple[Array, Array]:
 
 
 def _through_memory(
-    model: Model,
+    model: ParametricRig,
     here: Rig,
     directions: Basis,
     w: Windows,

@@ -12,8 +12,9 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from hydrojax.identify.estimation.columns import Batch, Model
+from hydrojax.identify.estimation.columns import Batch, ParametricRig
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.parameters import put
 from hydrojax.plant import stretch
@@ -24,7 +25,7 @@ HALVINGS = 40
 """Of the bracket that holds a tick's force."""
 
 
-def stretched(model: Model, values: np.ndarray) -> Rig | None:
+def stretched(model: ParametricRig, values: Float[np.ndarray, "n"]) -> Rig | None:
     """The rig at `values` if anything gives in it."""
     if not model.rig.stretch:
         return None
@@ -36,11 +37,11 @@ def stretched(model: Model, values: np.ndarray) -> Rig | None:
 def agreed(
     rig: Rig,
     batch: Batch,
-    left: np.ndarray,
-    replayed: Callable[[Batch], np.ndarray],
+    left: Float[np.ndarray, "windows ticks 3"],
+    replayed: Callable[[Batch], Float[np.ndarray, "windows ticks 3"]],
     criteria: Criteria,
-) -> np.ndarray:
-    """Measured less replayed, [W, T, 3], once force and stretch agree.
+) -> Float[np.ndarray, "windows ticks 3"]:
+    """Measured less replayed, SI, once force and stretch agree.
 
     `left` is that under the batch's own force, `replayed` gives it under another one.
     """
@@ -82,9 +83,9 @@ def _ahead(rig: Rig, F: np.ndarray) -> np.ndarray:
     return np.asarray(stretch.ahead(rig.stretch, jnp.asarray(F)))
 
 
-def answer(rig: Rig, batch: Batch) -> np.ndarray:
+def answer(rig: Rig, batch: Batch) -> Float[np.ndarray, "3"]:
     """Pressures (Pa) and force (N) by which oil and bristle answer a metre of the
-    piston, at most; [3].
+    piston, at most.
     """
     w = batch.windows
     x = jnp.asarray([np.min(w.x), np.max(w.x)])

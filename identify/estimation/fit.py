@@ -6,27 +6,40 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.plant.places import gauge_names
 
 
 @dataclass(frozen=True)
-class Point:
-    """Where a fit stands: all values, and the channels' weights it was made with."""
+class FitPoint:
+    """Where a fit stands.
 
-    values: np.ndarray
-    weights: np.ndarray
+    Attributes:
+        values: of all parameters of the model, SI.
+        weights: each channel's standard deviation that the fit was made with, SI; inf
+            where it was not compared.
+        steps: of the last fit.
+        converged: whether it did.
+    """
+
+    values: Float[np.ndarray, "n"]
+    weights: Float[np.ndarray, "3"]
     steps: int
     converged: bool
 
 
-def only(noise: np.ndarray, channels: np.ndarray) -> np.ndarray:
+def only(
+    noise: Float[np.ndarray, "3"], channels: Bool[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
     """The noise, with the other channels not compared."""
     return np.where(channels, noise, np.inf)
 
 
-def reweighted(noise: np.ndarray, rms: np.ndarray, above: float) -> np.ndarray:
+def reweighted(
+    noise: Float[np.ndarray, "3"], rms: Float[np.ndarray, "3"], above: float
+) -> Float[np.ndarray, "3"]:
     """The noise, or the misfit of a channel where it is `above` times the noise.
 
     Given the weight of its noise such a channel would bend the parameters of the
@@ -36,9 +49,9 @@ def reweighted(noise: np.ndarray, rms: np.ndarray, above: float) -> np.ndarray:
     return np.where(rms > above * noise, np.maximum(noise, rms), noise)
 
 
-def fit(
-    problem: Problem, values: np.ndarray, free: Sequence[str]
-) -> tuple[Problem, Point]:
+def fit_all(
+    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
+) -> tuple[Problem, FitPoint]:
     """Fit the free parameters to all channels, in the order of the signal path.
 
     Hydraulics on the pressures alone, then the mechanics, then all together with each
@@ -51,9 +64,9 @@ def fit(
 
 
 def fit_force(
-    problem: Problem, values: np.ndarray, free: Sequence[str]
-) -> tuple[Problem, Point]:
-    """The second half of `fit`, from hydraulics that fit the pressures already."""
+    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
+) -> tuple[Problem, FitPoint]:
+    """The second half of `fit_all`, from hydraulics that fit the pressures already."""
     noise = np.asarray(problem.batch.noise)
     weights, above = noise, problem.criteria.reweighted_above
     mechanical = problem.side(free, False)
@@ -68,8 +81,11 @@ def fit_force(
 
 
 def fit_jointly(
-    problem: Problem, values: np.ndarray, free: Sequence[str], weights: np.ndarray
-) -> tuple[Problem, Point]:
+    problem: Problem,
+    values: Float[np.ndarray, "n"],
+    free: Sequence[str],
+    weights: Float[np.ndarray, "3"],
+) -> tuple[Problem, FitPoint]:
     """Fit everything free at once from nearby, each channel at its weight."""
     noise, own = np.asarray(problem.batch.noise), problem.criteria
     seen = np.isfinite(noise)
@@ -84,14 +100,16 @@ def fit_jointly(
         # Without pressures to see, where the windows begin moves on with the fit.
         moves = problem.blind and rms[2] < own.blind_progress * before
         if left == 0 or (same and not moves):
-            return problem, Point(values, weights, int(out.steps), bool(out.converged))
+            return problem, FitPoint(
+                values, weights, int(out.steps), bool(out.converged)
+            )
         weights, before = earned, rms[2]
     raise AssertionError("the last round returns")
 
 
 def fit_pressures(
-    problem: Problem, values: np.ndarray, free: Sequence[str]
-) -> tuple[Problem, np.ndarray]:
+    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
+) -> tuple[Problem, Float[np.ndarray, "n"]]:
     """Fit the free parameters that the pressures see, on the pressures alone."""
     noise = only(np.asarray(problem.batch.noise), PRESSURES)
     gauges = gauge_names(problem.model.rig)

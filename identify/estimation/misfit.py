@@ -9,23 +9,28 @@ pressures eliminated, and the large Jacobian is never stored beyond that.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from hydrojax.identify.estimation.columns import (
     NUISANCE,
     SUPPLY_BLOCKS,
     Basis,
     Batch,
-    Model,
-    driven,
+    ParametricRig,
+    driven_pressures,
     recall,
     sensitivities,
 )
+from hydrojax.identify.estimation.solve import Fit, minimise
+from hydrojax.identify.preparation.data import Data
+from hydrojax.jax_setup import bucket
 
 START_SPREAD = 3e5
 """Prior on a window's initial pressure about its first guess, Pa: wide, it only keeps
@@ -41,14 +46,19 @@ _OWN_PRIOR = np.diag([1 / START_SPREAD**2] * 2 + [1.0] * SUPPLY_BLOCKS)
 
 
 class Sums(NamedTuple):
-    """Per window: `gram` [W, k+1, k+1] of [sensitivities, residual], whitened, what
-    the window has of its own eliminated; `start` [W, NUISANCE, k+1] its solution (of
-    the residual, with the sign turned); `sse` [W, 3] squared residuals, SI.
+    """Per window, on W windows and k columns.
+
+    Attributes:
+        gram: products of [sensitivities, residual], whitened, with what the window has
+            of its own eliminated; no rows where they are summed already.
+        start: solution of what was eliminated, of `NUISANCE` unknowns (of the residual,
+            with the sign turned).
+        sse: squared residuals by channel, SI.
     """
 
-    gram: Array
-    start: Array
-    sse: Array
+    gram: Float[Array | np.ndarray, "windows rows columns"]
+    start: Float[Array | np.ndarray, "windows unknowns columns"]
+    sse: Float[Array | np.ndarray, "windows 3"]
 
 
 def _in_pieces(part: Callable, size: int, *windows: PyTree) -> PyTree:
@@ -70,7 +80,7 @@ def _in_pieces(part: Callable, size: int, *windows: PyTree) -> PyTree:
 
 
 def _of_windows(
-    model: Model,
+    model: ParametricRig,
     values: Array,
     directions: Basis,
     batch: Batch,
@@ -82,7 +92,7 @@ def _of_windows(
 
     def side_by_side(windows, P_0, weight):
         own = batch._replace(windows=windows, P_0=P_0, weight=weight)
-        pressure = driven(model, values, directions, own, simulate)
+        pressure = driven_pressures(model, values, directions, own, simulate)
         # Windows first, as all that is cut into handfuls has them.
         by = jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), pressure.by)
 
@@ -99,7 +109,11 @@ def _of_windows(
 
 
 def sums(
-    model: Model, values: Array, directions: Basis, batch: Batch, simulate: bool
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    directions: Basis,
+    batch: Batch,
+    simulate: bool,
 ) -> Sums:
     """The windows' Gram matrices at `values` along `directions`; see `Sums`."""
     return _of_windows(model, values, directions, batch, simulate, _sums)
@@ -145,9 +159,9 @@ def _leftover(residual: Array, dy: Array, white: Array, start: Array) -> Array:
 
 
 def leftover(
-    model: Model, values: Array, batch: Batch, simulate: bool
-) -> tuple[Array, Array]:
-    """Measured minus replayed, [W, T, 3], SI, and the initial pressures' error [W, 2].
+    model: ParametricRig, values: Float[Array, "n"], batch: Batch, simulate: bool
+) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "windows 2"]]:
+    """Measured minus replayed, SI, and the error of the initial pressures, Pa.
 
     Each window's own initial pressures are estimated from it.
     """
@@ -165,3 +179,117 @@ def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:
     cross = jnp.einsum("iwtc,wtc->wi", scaled, -residual * white)
     start = jnp.linalg.solve(B, cross[..., None])[..., 0]
     return _leftover(residual, dy, white, start), start[:, :2]
+
+
+def batch_of(data: Data) -> Batch:
+    """A fit's arrays from prepared logs."""
+    motion, windows = jax.tree.map(np.asarray, (data.motion, data.windows))
+    supply_noise, weight = np.asarray(data.supply_noise), np.ones(len(data.P_0))
+    return Batch(motion, windows, data.P_0, data.noise, supply_noise, weight)
+
+
+def filled(batch: Batch) -> Batch:
+    """The batch with copies of its last window that weigh nothing, and standstill after
+    its motion: logs of other lengths then find their programs compiled.
+    """
+    windows = bucket(len(batch.P_0))
+    which = np.minimum(np.arange(windows), len(batch.P_0) - 1)
+    segments, ticks = batch.motion.h.shape
+    more = (bucket(segments, 1) - segments, bucket(ticks + 1) - ticks - 1)
+
+    def longer(a):
+        return np.pad(a, [*zip((0, 0, 0), (*more, 0), strict=True)][: a.ndim], "edge")
+
+    own = (batch.windows, batch.P_0, batch.weight)
+    own = jax.tree.map(lambda a: np.asarray(a)[which], own)
+    motion = jax.tree.map(longer, batch.motion)
+    still = np.array(motion.dx)
+    still[segments:], still[:, ticks:] = 0.0, 0.0
+    return batch._replace(
+        motion=motion._replace(dx=still),
+        windows=own[0],
+        P_0=own[1],
+        weight=own[2] * (np.arange(windows) < len(batch.P_0)),
+    )
+
+
+def _gram(
+    model: ParametricRig,
+    values: Array,
+    directions: Basis,
+    prior: tuple[Array, Array],
+    batch: Batch,
+    simulate: bool,
+    d: Array,
+) -> tuple[Array, Sums]:
+    """Gram matrix at `values` moved by `d` along the directions, with priors; and the
+    sums there, without the matrices of the single windows.
+    """
+    k_1 = directions.hydraulic.shape[1]
+    move = jnp.concatenate([directions.hydraulic @ d[:k_1], directions.other @ d[k_1:]])
+    at = sums(model, values + move, directions, batch, simulate)
+    total = jnp.sum(at.gram, 0)
+    slope, at_zero = prior  # what is known beforehand is more residual rows
+    rows = jnp.concatenate([slope, (slope @ d + at_zero)[:, None]], axis=1)
+    return total + rows.T @ rows, at._replace(gram=at.gram[:, :0])
+
+
+@eqx.filter_jit
+def run_fit(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    directions: Basis,
+    prior: tuple[Float[Array, "rows k"], Float[Array, "rows"]],
+    lower: Float[Array, "k"],
+    upper: Float[Array, "k"],
+    batch: Batch,
+    simulate: bool,
+) -> Fit:
+    """The best fit from `values`, in units of the directions; compiled.
+
+    `prior` are residual rows of what is known beforehand: their derivative by the
+    coordinates, and their value at `values`.
+    """
+    gram = partial(_gram, model, values, directions, prior, batch, simulate)
+    return minimise(gram, jnp.zeros_like(lower), lower, upper)
+
+
+@eqx.filter_jit
+def run_sums(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    directions: Basis,
+    batch: Batch,
+    simulate: bool,
+) -> Sums:
+    """`sums`, compiled."""
+    return sums(model, values, directions, batch, simulate)
+
+
+@eqx.filter_jit
+def run_leftover(
+    model: ParametricRig, values: Float[Array, "n"], batch: Batch, simulate: bool
+) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "windows 2"]]:
+    """`leftover`, compiled."""
+    return leftover(model, values, batch, simulate)
+
+
+@eqx.filter_jit
+def run_starts(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    starts: Float[Array, "starts k"],
+    directions: Basis,
+    lower: Float[Array, "k"],
+    upper: Float[Array, "k"],
+    batch: Batch,
+    simulate: bool,
+) -> Fit:
+    """Fits from several starts at once, vmapped; in units of the directions."""
+    none = (jnp.zeros((0, lower.size)), jnp.zeros(0))
+
+    def one(start):
+        gram = partial(_gram, model, values, directions, none, batch, simulate)
+        return minimise(gram, start, lower, upper)
+
+    return jax.vmap(one)(starts)

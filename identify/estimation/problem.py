@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Float, PyTree
 
-from hydrojax.identify.estimation.columns import Basis, Batch, Model, basis, slot_names
+from hydrojax.identify.estimation.columns import Batch, ParametricRig, basis, slot_names
 from hydrojax.identify.estimation.coupled import agreed, stretched
-from hydrojax.identify.estimation.misfit import Sums, leftover, sums
-from hydrojax.identify.estimation.solve import Fit, minimise
+from hydrojax.identify.estimation.known import Known
+from hydrojax.identify.estimation.misfit import (
+    Sums,
+    batch_of,
+    filled,
+    run_fit,
+    run_leftover,
+    run_sums,
+)
+from hydrojax.identify.estimation.solve import Fit
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.jax_setup import bucket
 from hydrojax.parameters import Spec
 from hydrojax.plant.places import gauge_names
 from hydrojax.plant.rig import Rig
@@ -46,31 +51,6 @@ class Free:
     prior: float | None = None
 
 
-@dataclass(frozen=True)
-class Known:
-    """What other logs tell of parameters: their values there, SI, and the curvature
-    [k, k] of that fit, in units of the scales, priors counted.
-    """
-
-    names: tuple[str, ...]
-    values: np.ndarray
-    curvature: np.ndarray
-
-    def rows(
-        self, columns: Sequence[str | None], at: np.ndarray, scale: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Residual rows [k, k] by column, and their value with the columns `at`."""
-        sizes, vectors = np.linalg.eigh(self.curvature)
-        root = (vectors * np.sqrt(np.maximum(sizes, 0.0))).T
-        slope = np.zeros((len(columns), len(columns)))
-        away = np.zeros(len(columns))
-        for j, name in enumerate(self.names):
-            i = columns.index(name)
-            slope[: len(root), i] = root[:, j]
-            away[i] = (at[i] - self.values[j]) / scale[i]
-        return slope, slope @ away
-
-
 def free_parameters(spec: RigFile) -> dict[str, Free]:
     """What a rig file leaves to be found, effects it declares included."""
     entries = dict(spec.parameters)
@@ -87,108 +67,18 @@ def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
     }
 
 
-def batch_of(data: Data) -> Batch:
-    """A fit's arrays from prepared logs."""
-    motion, windows = jax.tree.map(np.asarray, (data.motion, data.windows))
-    supply_noise, weight = np.asarray(data.supply_noise), np.ones(len(data.P_0))
-    return Batch(motion, windows, data.P_0, data.noise, supply_noise, weight)
-
-
-def filled(batch: Batch) -> Batch:
-    """The batch with copies of its last window that weigh nothing, and standstill after
-    its motion: logs of other lengths then find their programs compiled.
-    """
-    windows = bucket(len(batch.P_0))
-    which = np.minimum(np.arange(windows), len(batch.P_0) - 1)
-    segments, ticks = batch.motion.h.shape
-    more = (bucket(segments, 1) - segments, bucket(ticks + 1) - ticks - 1)
-
-    def longer(a):
-        return np.pad(a, [*zip((0, 0, 0), (*more, 0), strict=True)][: a.ndim], "edge")
-
-    own = (batch.windows, batch.P_0, batch.weight)
-    own = jax.tree.map(lambda a: np.asarray(a)[which], own)
-    motion = jax.tree.map(longer, batch.motion)
-    still = np.array(motion.dx)
-    still[segments:], still[:, ticks:] = 0.0, 0.0
-    return batch._replace(
-        motion=motion._replace(dx=still),
-        windows=own[0],
-        P_0=own[1],
-        weight=own[2] * (np.arange(windows) < len(batch.P_0)),
-    )
-
-
-def _gram(
-    model: Model,
-    values: Array,
-    directions: Basis,
-    prior: tuple[Array, Array],
-    batch: Batch,
-    simulate: bool,
-    d: Array,
-) -> tuple[Array, Sums]:
-    """Gram matrix at `values` moved by `d` along the directions, with priors; and the
-    sums there, without the matrices of the single windows.
-    """
-    k_1 = directions.hydraulic.shape[1]
-    move = jnp.concatenate([directions.hydraulic @ d[:k_1], directions.other @ d[k_1:]])
-    at = sums(model, values + move, directions, batch, simulate)
-    total = jnp.sum(at.gram, 0)
-    slope, at_zero = prior  # what is known beforehand is more residual rows
-    rows = jnp.concatenate([slope, (slope @ d + at_zero)[:, None]], axis=1)
-    return total + rows.T @ rows, at._replace(gram=at.gram[:, :0])
-
-
-@eqx.filter_jit
-def _run(model, values, directions, prior, lower, upper, batch, simulate):
-    gram = partial(_gram, model, values, directions, prior, batch, simulate)
-    return minimise(gram, jnp.zeros_like(lower), lower, upper)
-
-
-@eqx.filter_jit
-def _sums(model, values, directions, batch, simulate):
-    return sums(model, values, directions, batch, simulate)
-
-
-@eqx.filter_jit
-def _leftover(model, values, batch, simulate):
-    return leftover(model, values, batch, simulate)
-
-
-@eqx.filter_jit
-def run_starts(
-    model: Model,
-    values: Array,
-    starts: Array,
-    directions: Basis,
-    lower: Array,
-    upper: Array,
-    batch: Batch,
-    simulate: bool,
-) -> Fit:
-    """Fits from several starts [m, k] at once, vmapped; in units of the directions."""
-    none = (jnp.zeros((0, lower.size)), jnp.zeros(0))
-
-    def one(start):
-        gram = partial(_gram, model, values, directions, none, batch, simulate)
-        return minimise(gram, start, lower, upper)
-
-    return jax.vmap(one)(starts)
-
-
 @dataclass(frozen=True)
 class Problem:
     """What a fit is given: the model, what may be free, and the data.
 
     `declared` counts the free parameters of the rig file, hydraulic and other.
 
-    `symmetric` holds k_cp and k_cn equal, for logs that do not tell a difference of
-    the two from an offset k_0. `known` is what other logs tell, in place of priors;
+    `symmetric` holds k_cp and k_cn equal, for logs that do not distinguish a difference
+    of the two from an offset k_0. `known` is what other logs give, in place of priors;
     `criteria` the thresholds of whatever is decided on it.
     """
 
-    model: Model
+    model: ParametricRig
     free: Mapping[str, Free]
     batch: Batch
     declared: tuple[int, int]
@@ -206,7 +96,7 @@ class Problem:
         criteria: Criteria = Criteria(),
     ) -> Problem:
         """The problem of fitting `free` on prepared logs."""
-        model = Model.of(rig)
+        model = ParametricRig.of(rig)
         first = sum(model.names.index(n) < model.hydraulic for n in free)
         declared = (first, len(free) - first)
         return cls(
@@ -229,13 +119,13 @@ class Problem:
 
     def solve(
         self,
-        values: np.ndarray,
+        values: Float[np.ndarray, "n"],
         free: Sequence[str] | None = None,
-        noise: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, Fit]:
+        noise: Float[np.ndarray, "3"] | None = None,
+    ) -> tuple[Float[np.ndarray, "n"], Fit]:
         """Move `free` from `values` to the best fit; returns all values, and how.
 
-        `noise` stands in for the problem's own where a part of the
+        `noise` replaces the problem's own where a part of the
         model is fitted by itself.
         """
         free = tuple(self.free if free is None else free)
@@ -256,7 +146,7 @@ class Problem:
         batch = self.batch
         if noise is not None:
             batch = batch._replace(noise=noise)
-        out = _run(
+        out = run_fit(
             self.model,
             jnp.asarray(values),
             basis(self.model, free, slots),
@@ -295,7 +185,11 @@ class Problem:
             difference = (at[pair[0]] - at[pair[1]]) / tied
         return jnp.asarray(slope), jnp.asarray([*value, difference])
 
-    def sums_at(self, values: np.ndarray, noise: np.ndarray | None = None) -> Sums:
+    def sums_at(
+        self,
+        values: Float[np.ndarray, "n"],
+        noise: Float[np.ndarray, "3"] | None = None,
+    ) -> Sums:
         """The windows' sums at `values`, along every parameter of the model."""
         batch = self.batch
         if noise is not None:
@@ -304,8 +198,10 @@ class Problem:
         every = basis(self.model, self.model.names, (n, len(self.model.names) - n))
         return self._evaluate(values, every, batch)
 
-    def residuals_at(self, values: np.ndarray) -> np.ndarray:
-        """Measured minus replayed, [W, T, 3], SI.
+    def residuals_at(
+        self, values: Float[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "windows ticks 3"]:
+        """Measured minus replayed, SI.
 
         What gives follows the force that is replayed; see `coupled`.
         """
@@ -322,7 +218,7 @@ class Problem:
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
         at = jnp.asarray(values)
-        return self._real(_leftover(self.model, at, filled(batch), self.simulate))
+        return self._real(run_leftover(self.model, at, filled(batch), self.simulate))
 
     def _begun(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
         """The batch with its windows' initial pressures found, and the residuals.
@@ -348,20 +244,22 @@ class Problem:
             left = np.where(better[:, None, None], there, left)
         return self.batch._replace(P_0=best), left
 
-    def errors_at(self, values: np.ndarray) -> np.ndarray:
-        """Squared residuals by window and channel, [W, 3], SI."""
+    def errors_at(
+        self, values: Float[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "windows 3"]:
+        """Sum of squared residuals by window and channel, SI."""
         return np.sum(self.residuals_at(values) ** 2, axis=1)
 
     def _evaluate(self, values, directions, batch) -> Sums:
         values = jnp.asarray(values)
-        out = _sums(self.model, values, directions, filled(batch), self.simulate)
+        out = run_sums(self.model, values, directions, filled(batch), self.simulate)
         return self._real(out)
 
     def _real(self, found: PyTree) -> PyTree:
         """What was found of the windows, without those that only fill up."""
         return jax.tree.map(lambda a: np.asarray(a)[: len(self.batch.P_0)], found)
 
-    def restarted(self, at: Sums, values: np.ndarray) -> Problem:
+    def restarted(self, at: Sums, values: Float[np.ndarray, "n"]) -> Problem:
         """The problem with each window's initial pressures moved to their estimate.
 
         `at` are the windows' sums at `values`.
@@ -371,7 +269,7 @@ class Problem:
             return replace(self, batch=self._begun(values)[0])
         return replace(self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :2, -1]))
 
-    def initial_values(self) -> np.ndarray:
+    def initial_values(self) -> Float[np.ndarray, "n"]:
         """The rig's values, with every free parameter at its start."""
         values = np.array(self.model.values)
         for name, f in self.free.items():
@@ -394,8 +292,10 @@ class Problem:
         n = self.model.hydraulic
         return tuple(x for x in names if (self.model.names.index(x) < n) == hydraulic)
 
-    def rms(self, sse: Array | np.ndarray) -> np.ndarray:
-        """Root mean square by channel, [3], SI, of squared residuals [W, 3]."""
+    def rms(
+        self, sse: Float[Array | np.ndarray, "windows 3"]
+    ) -> Float[np.ndarray, "3"]:
+        """Root mean square by channel, SI, of the windows' squared residuals."""
         ticks = self.batch.windows.measured.shape[1]
         return np.sqrt(
             np.sum(np.asarray(sse), axis=0) / (np.sum(self.batch.weight) * ticks)

@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 DAMPING = 1e-4
 """Damping at optimistix's first step size of 1, as a share of the curvature."""
 
 
 ENOUGH = 1e-6
-"""A fit ends when the next step is foreseen to lower the cost by less than this share
-of it (and by less than `ENOUGH_CHI2`, far below what noise can tell)."""
+"""A fit ends when the next step is predicted to lower the cost by less than this share
+of it (and by less than `ENOUGH_CHI2`, which is insignificant beside noise)."""
 ENOUGH_CHI2 = 1e-3
 
 
@@ -24,7 +24,7 @@ class _Quadratic(NamedTuple):
     at: Array
     hessian: Array
     gradient: Array
-    foreseen: Array  # by how much an almost undamped step would lower the cost
+    predicted: Array  # by how much an almost undamped step would lower the cost
 
 
 class BoxedNewton(optx.AbstractDescent):
@@ -34,8 +34,8 @@ class BoxedNewton(optx.AbstractDescent):
     not depend on units. A coordinate that the residual does not see stays put.
     """
 
-    lower: Array
-    upper: Array
+    lower: Float[Array, "k"]
+    upper: Float[Array, "k"]
 
     def init(self, y, f_info_struct):
         """Nothing known yet."""
@@ -106,41 +106,52 @@ class _BoxedLM(optx.AbstractGaussNewton):
     verbose: Callable[..., None] = _quiet
 
     def terminate(self, fn, y, args, options, state, tags):
-        """Stop on a small step, when none is foreseen to pay, or after six failures.
+        """Stop on a small step, when none is predicted to pay, or after six failures.
 
         Without the second rule a fit at its minimum goes on for a dozen rejected
         steps, which differ from it by rounding.
         """
         cost = 0.5 * jnp.sum(state.f_info.residual**2)
-        little = state.descent_state.foreseen < jnp.maximum(ENOUGH * cost, ENOUGH_CHI2)
+        little = state.descent_state.predicted < jnp.maximum(ENOUGH * cost, ENOUGH_CHI2)
         stuck = state.num_steps_since_acceptance >= 6
         stop = little | stuck
         return state.terminate | (stop & ~state.first_step), state.result
 
 
 class Fit(NamedTuple):
-    """Where a fit ended: coordinates [k], cost, steps taken, whether it converged, and
-    what else the misfit said there.
+    """Where a fit ended; with starts ahead where several were run.
+
+    Attributes:
+        at: coordinates.
+        cost: half the sum of squares there.
+        steps: taken.
+        converged: whether it did.
+        also: what else the misfit gave there.
     """
 
-    at: Array
-    cost: Array
-    steps: Array
-    converged: Array
+    at: Float[Array, "*starts k"]
+    cost: Float[Array, "*starts"]
+    steps: Int[Array, "*starts"]
+    converged: Bool[Array, "*starts"]
     also: PyTree
 
 
 def minimise(
-    gram, start: Array, lower: Array, upper: Array, steps: int = 20, tol: float = 1e-5
+    gram: Callable,
+    start: Float[Array, "k"],
+    lower: Float[Array, "k"],
+    upper: Float[Array, "k"],
+    steps: int = 20,
+    tol: float = 1e-5,
 ) -> Fit:
     """Minimise half a sum of squares inside a box.
 
     Args:
         gram: coordinates [k] -> Gram matrix [k+1, k+1] of [Jacobian, residual], and
             whatever else is wanted of the place where the fit ends.
-        start: [k].
-        lower: [k] ends of the box.
-        upper: [k] ends of the box.
+        start: coordinates to begin from.
+        lower: ends of the box.
+        upper: ends of the box.
         steps: at most this many evaluations.
         tol: stop when a step changes every coordinate by less than this.
 

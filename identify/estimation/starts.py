@@ -7,15 +7,21 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from hydrojax.identify.estimation.columns import Batch, basis
-from hydrojax.identify.estimation.problem import Problem, filled, run_starts
+from hydrojax.identify.estimation.misfit import filled, run_starts
+from hydrojax.identify.estimation.problem import Problem
 
 
 def best_start(
-    problem: Problem, values: np.ndarray, free: Sequence[str], count: int, seed: int = 0
-) -> np.ndarray:
-    """The best of `count` fits from starts around `values` (itself among them), [n].
+    problem: Problem,
+    values: Float[np.ndarray, "n"],
+    free: Sequence[str],
+    count: int,
+    seed: int = 0,
+) -> Float[np.ndarray, "n"]:
+    """The best of `count` fits from starts around `values` (itself among them).
 
     All run side by side (vmapped) on a few windows spread over the logs. A start that
     fails, to no number or a poor end, only loses.

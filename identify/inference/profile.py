@@ -12,14 +12,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import stats
 
-from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.inference.uncertainty import Interval, Uncertainty, curvature
 
 
 def profiles(
     problem: Problem,
-    point: Point,
+    point: FitPoint,
     free: Sequence[str],
     uncertainty: Uncertainty,
     progress: Callable[[str], None] = lambda _: None,
@@ -68,7 +68,7 @@ def profiles(
 def _end(
     problem: Problem,
     values: np.ndarray,
-    point: Point,
+    point: FitPoint,
     free: Sequence[str],
     name: str,
     step: float,

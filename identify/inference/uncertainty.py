@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
 
-from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.criteria import Criteria
 
@@ -16,13 +17,17 @@ Interval = tuple[float | None, float | None]
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard deviations (SI) of the free parameters inside their range, and words.
+    """Uncertainty of the free parameters.
 
-    `std` by name, None at an end of the range; `ends` names the parameters there;
-    `unidentifiable` those that the logs do not determine; `limits` says in sentences
-    what is at a range's end, and which combination of the unidentifiable ones the logs
-    do determine. `covariance` [n, n] is of the parameters `inside`, SI; `profiles` the
-    95 % intervals by profile likelihood, where they were asked for.
+    Attributes:
+        std: standard deviations by name, SI; None at an end of the range.
+        ends: the parameters at an end of their range.
+        unidentifiable: those that the logs do not determine.
+        limits: sentences on what is at a range's end, and on which combination of the
+            unidentifiable ones the logs do determine.
+        inside: the parameters inside their range.
+        covariance: of those, SI.
+        profiles: 95 % intervals by profile likelihood, where they were computed.
     """
 
     std: dict[str, float | None]
@@ -30,12 +35,12 @@ class Uncertainty:
     unidentifiable: tuple[str, ...]
     limits: tuple[str, ...]
     inside: tuple[str, ...]
-    covariance: np.ndarray
+    covariance: Float[np.ndarray, "inside inside"]
     profiles: Mapping[str, Interval] = field(default_factory=dict)
 
 
 def estimate_uncertainty(
-    problem: Problem, point: Point, free: Sequence[str]
+    problem: Problem, point: FitPoint, free: Sequence[str]
 ) -> Uncertainty:
     """What the logs say of the free parameters at a fit.
 
@@ -83,9 +88,9 @@ def estimate_uncertainty(
 
 
 def curvature(
-    problem: Problem, point: Point, free: Sequence[str]
-) -> tuple[np.ndarray, list[str]]:
-    """Curvature [k, k] of the fit in units of the scales, priors counted, and names."""
+    problem: Problem, point: FitPoint, free: Sequence[str]
+) -> tuple[Float[np.ndarray, "k k"], list[str]]:
+    """Curvature of the fit in units of the scales, priors counted, and names."""
     names = problem.model.names
     gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
     columns = np.array([names.index(n) for n in free], dtype=int)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from hydrojax.errors import InputError
 from hydrojax.identify.preparation.noise import (
@@ -20,7 +22,7 @@ from hydrojax.identify.preparation.windows import (
     SETTLE,
     cut,
     motion,
-    spread,
+    spread_runs,
     starts_in,
 )
 from hydrojax.identify.tracing.criteria import Criteria
@@ -36,9 +38,9 @@ class Data:
     Attributes:
         motion: see `Motion`; S segments.
         windows: see `Windows`; W windows.
-        P_0: [W, 2] first guess of the pressures at each window's first tick, Pa.
-        log: [W] which log each window comes from.
-        noise: [3] standard deviation of each channel's noise, SI; inf if not compared.
+        P_0: first guess of the pressures at each window's first tick, Pa.
+        log: which log each window comes from.
+        noise: standard deviation of each channel's noise, SI; inf if not compared.
         supply_noise: standard deviation of the measured P_s, Pa; 0 if not measured.
         driven_by: `u`, or what else drives the replay.
         band: Hz up to which acceleration (and, without u, speed and force) is taken.
@@ -49,9 +51,9 @@ class Data:
 
     motion: Motion
     windows: Windows
-    P_0: np.ndarray
-    log: np.ndarray
-    noise: np.ndarray
+    P_0: Float[np.ndarray, "windows 2"]
+    log: Int[np.ndarray, "windows"]
+    noise: Float[np.ndarray, "3"]
     supply_noise: float
     driven_by: str
     band: float
@@ -60,11 +62,11 @@ class Data:
     notes: tuple[str, ...]
 
 
-def prepare(
+def prepare_logs(
     logs: Sequence[Log],
     spec: RigFile,
     horizon: float = 0.25,
-    noise: np.ndarray | None = None,
+    noise: Float[np.ndarray, "3"] | None = None,
     sign: float = 1.0,
     band: float | None = None,
     criteria: Criteria = Criteria(),
@@ -75,8 +77,8 @@ def prepare(
         logs: as `Log.load` gives them, all with the same signals.
         spec: the rig they were recorded on.
         horizon: length of a window, s.
-        noise: [3] to be used, or None to take the rig file's or estimate it.
-        sign: -1 turns the motion round.
+        noise: of each channel; None to take the rig file's, or estimate it.
+        sign: -1 reverses the motion.
         band: Hz up to which acceleration is taken; None to find it.
         criteria: how much is read, and up to which band.
 
@@ -87,17 +89,56 @@ def prepare(
     if not 0 < horizon < 1e4:
         raise InputError(f"--horizon {horizon}: give the length of a window in seconds")
     driven_by = driver(logs, spec)
-    notes = [f"{log.name}: {note}" for log in logs for note in log.notes]
     if band is None:
         band = common_band(logs, spec, driven_by, criteria)
-    if np.isfinite(band):
-        what = {"u": "it is", "P": "speed, acceleration and force are"}.get(
-            driven_by, "speed and acceleration are"
-        )
-        notes.append(
-            f"above {band:.0f} Hz acceleration would be noise of the position: {what} "
-            "taken below that"
-        )
+    rows = _rows(logs, criteria)
+    h = _tick(logs, rows, driven_by, criteria)
+    size = _Size.of(horizon, h, driven_by)
+    rows, starts, used = _spread_windows(logs, rows, size, h, criteria)
+    segments = [segment(i, logs[i], spec, r, driven_by, sign, band) for i, r in rows]
+    cuts = [(k, first) for k, own in enumerate(starts) for first in own]
+    windows, P_0 = cut(segments, cuts, size.T, size.pre, size.lead, size.substeps)
+    if noise is None:
+        noise = channel_noise(logs, spec, driven_by)
+    own = [f"{log.name}: {note}" for log in logs for note in log.notes]
+    return Data(
+        motion=motion(segments, h),
+        windows=windows,
+        P_0=P_0,
+        log=np.array([segments[k].log for k, _ in cuts]),
+        noise=noise,
+        supply_noise=supply_noise_of(logs, spec),
+        driven_by=driven_by,
+        band=band,
+        travel=(float(windows.x.min()), float(windows.x.max())),
+        areas=force_areas(spec),
+        notes=tuple(dict.fromkeys([*own, *_band_note(band, driven_by), *used])),
+    )
+
+
+class _Size(NamedTuple):
+    """Ticks of a window, of the command ahead of it and of its lead; its substeps."""
+
+    T: int
+    pre: int
+    lead: int
+    substeps: int
+
+    @classmethod
+    def of(cls, horizon: float, h: float, driven_by: str) -> _Size:
+        """The size of windows of `horizon` s on logs with a row every `h` s."""
+        T = max(int(round(horizon / h)), 8)
+        if driven_by == "u":
+            return cls(T, PRE, LEAD, max(1, int(np.ceil(h / 1.5e-3))))
+        return cls(T, 1, min(LEAD, int(0.3 / h)), 1)
+
+
+def _rows(logs: Sequence[Log], criteria: Criteria) -> list[tuple[int, slice]]:
+    """Each log's stretches without gaps that are long enough: its place, and rows.
+
+    Raises:
+        InputError: there is none.
+    """
     rows = [
         (i, slice(*own))
         for i, log in enumerate(logs)
@@ -109,6 +150,20 @@ def prepare(
             f"{logs[0].name}: no stretch without gaps has over "
             f"{criteria.fewest_rows} rows"
         )
+    return rows
+
+
+def _tick(
+    logs: Sequence[Log],
+    rows: list[tuple[int, slice]],
+    driven_by: str,
+    criteria: Criteria,
+) -> float:
+    """The logs' median step, s.
+
+    Raises:
+        InputError: too slow to replay what the valve does.
+    """
     h = float(np.median(np.concatenate([np.diff(logs[i].time[r]) for i, r in rows])))
     if driven_by == "u" and h > criteria.slowest_tick:
         raise InputError(
@@ -116,9 +171,22 @@ def prepare(
             f"valve does: log at {1 / criteria.slowest_tick:.0f} Hz or more, or "
             "take u out of the log"
         )
-    T = max(int(round(horizon / h)), 8)
-    pre, lead = (PRE, LEAD) if driven_by == "u" else (1, min(LEAD, int(0.3 / h)))
-    n = max(1, int(np.ceil(h / 1.5e-3))) if driven_by == "u" else 1
+    return h
+
+
+def _spread_windows(
+    logs: Sequence[Log],
+    rows: list[tuple[int, slice]],
+    size: _Size,
+    h: float,
+    criteria: Criteria,
+) -> tuple[list[tuple[int, slice]], list[range], list[str]]:
+    """Stretches, the first ticks of the windows in each, and a note if some are unused.
+
+    Raises:
+        InputError: no stretch is long enough for a window.
+    """
+    T, pre, lead, _ = size
     starts = [starts_in(logs[i].time[r], T, pre, lead) for i, r in rows]
     count, most = sum(map(len, starts)), max(criteria.most_ticks // (lead + T), 1)
     if count == 0:
@@ -127,31 +195,27 @@ def prepare(
             f"{SETTLE / 2 + (pre + lead + T) * h:.2g} s: give a longer log or a "
             "shorter --horizon"
         )
-    if count > most:
-        rows, starts = spread(rows, starts, most, lead + T)
-        notes.append(
-            f"{sum(map(len, starts))} windows of {count}, in runs spread evenly, were "
-            "used: the logs hold more than a fit needs"
-        )
-    segments = [segment(i, logs[i], spec, r, driven_by, sign, band) for i, r in rows]
-    cuts = [(k, first) for k, own in enumerate(starts) for first in own]
-    windows, P_0 = cut(segments, cuts, T, pre, lead, n)
-    travel = (float(windows.x.min()), float(windows.x.max()))
-    if noise is None:
-        noise = channel_noise(logs, spec, driven_by)
-    return Data(
-        motion=motion(segments, h),
-        windows=windows,
-        P_0=P_0,
-        log=np.array([segments[k].log for k, _ in cuts]),
-        noise=noise,
-        supply_noise=supply_noise_of(logs, spec),
-        driven_by=driven_by,
-        band=band,
-        travel=travel,
-        areas=force_areas(spec),
-        notes=tuple(dict.fromkeys(notes)),
+    if count <= most:
+        return rows, starts, []
+    rows, starts = spread_runs(rows, starts, most, lead + T)
+    note = (
+        f"{sum(map(len, starts))} windows of {count}, in runs spread evenly, were "
+        "used: the logs hold more than a fit needs"
     )
+    return rows, starts, [note]
+
+
+def _band_note(band: float, driven_by: str) -> list[str]:
+    """What is said of a band in which motion is differentiated; none without one."""
+    if not np.isfinite(band):
+        return []
+    what = {"u": "it is", "P": "speed, acceleration and force are"}.get(
+        driven_by, "speed and acceleration are"
+    )
+    return [
+        f"above {band:.0f} Hz acceleration would be noise of the position: {what} "
+        "taken below that"
+    ]
 
 
 def driver(logs: Sequence[Log], spec: RigFile) -> str:

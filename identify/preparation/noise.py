@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy import interpolate, signal
 
 from hydrojax.identify.tracing.criteria import Criteria
@@ -16,7 +17,7 @@ CHANNELS = ("P_a1", "P_a2", "F")
 """What a replay can predict, in the order of `Windows.measured`."""
 
 
-def estimate_noise(y: np.ndarray) -> float:
+def estimate_noise(y: Float[np.ndarray, "rows"]) -> float:
     """Standard deviation of white noise on a smooth signal, in the unit of `y`.
 
     Sixth differences remove what is smooth; the median of their size is robust to
@@ -30,7 +31,10 @@ def estimate_noise(y: np.ndarray) -> float:
 
 
 def motion_band(
-    t: np.ndarray, x: np.ndarray, quiet: float, criteria: Criteria = Criteria()
+    t: Float[np.ndarray, "rows"],
+    x: Float[np.ndarray, "rows"],
+    quiet: float,
+    criteria: Criteria = Criteria(),
 ) -> float | None:
     """Frequency (Hz) up to which acceleration can be had from a position, or None.
 
@@ -54,7 +58,9 @@ def motion_band(
     return None if cut > 0.4 / h else cut
 
 
-def smooth(t: np.ndarray, y: np.ndarray, cut: float) -> interpolate.BSpline:
+def smooth(
+    t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"], cut: float
+) -> interpolate.BSpline:
     """A smoothing spline that passes what is below `cut` Hz; ticks may be uneven.
 
     Its response is 1/(1 + (f/cut)^4), without phase.
@@ -78,11 +84,15 @@ class SensorNoise:
     step: float
     cut: float
 
-    def smoothed(self, t: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """The signal as near to the truth as smoothing brings it."""
+    def smoothed(
+        self, t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"]
+    ) -> Float[np.ndarray, "rows"]:
+        """The signal smoothed at `cut`."""
         return smooth(t, y, self.cut)(t) if np.isfinite(self.cut) else y
 
-    def again(self, y: np.ndarray, seed: int = 0) -> np.ndarray:
+    def again(
+        self, y: Float[np.ndarray, "rows"], seed: int = 0
+    ) -> Float[np.ndarray, "rows"]:
         """The signal measured once more by such a sensor."""
         draw = np.random.default_rng(seed)
         if self.step:
@@ -92,7 +102,7 @@ class SensorNoise:
 
 
 def sensor_noise_of(
-    pieces: Iterable[tuple[np.ndarray, np.ndarray]],
+    pieces: Iterable[tuple[Float[np.ndarray, "rows"], Float[np.ndarray, "rows"]]],
     criteria: Criteria = Criteria(),
 ) -> SensorNoise | None:
     """A signal's noise, the median over pieces (time, signal) of some rows; None where
@@ -139,7 +149,9 @@ def _sensor_noise(
     )
 
 
-def channel_noise(logs: Sequence[Log], spec: RigFile, driven_by: str) -> np.ndarray:
+def channel_noise(
+    logs: Sequence[Log], spec: RigFile, driven_by: str
+) -> Float[np.ndarray, "3"]:
     """Noise of each channel, from the rig file or the logs; inf where not compared."""
     out = np.full(3, np.inf)
     for c, name in enumerate(CHANNELS):

@@ -1,11 +1,11 @@
 """What drives a replay and is measured coarsely: its noise taken off as far as it goes,
-and what is left of it counted into the noise of the channels.
+and the remainder counted into the noise of the channels.
 
 Oil and bristle answer a micrometre of the piston by some 10 kPa and 20 N. The paper's
 encoder resolves 0.06 um; one of 17 bits, or a potentiometer, some microns. Pressures
-and force are then foreseen worse than they are measured, and a trace would find effects
-that are the sensor's. So it is with pressures that drive: a lag smooths their noise,
-and would be taken for one of the load cell.
+and force are then predicted worse than they are measured, and a trace would find
+effects that are the sensor's. So it is with pressures that drive: a lag smooths their
+noise, and would be taken for one of the load cell.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from hydrojax.identify.estimation.coupled import answer
-from hydrojax.identify.estimation.fit import fit as fit_all
+from hydrojax.identify.estimation.fit import fit_all
+from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.estimation.problem import (
     Problem,
-    batch_of,
     free_parameters,
     in_play,
 )
@@ -40,13 +41,16 @@ from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.recording import position
 from hydrojax.rigfile.schema import RigFile
 
-Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Change = Callable[
+    [Float[np.ndarray, "rows"], Float[np.ndarray, "rows"]], Float[np.ndarray, "rows"]
+]
+"""What makes another signal of times (s) and a signal."""
 
 
 @dataclass(frozen=True)
 class Resolved:
     """Logs with what drives them as good as it gets, and those to fit made ready, with
-    what is left of its noise in that of the channels.
+    the remainder of its noise in that of the channels.
 
     `smoothed` does the same to a log that took no part in it.
     """
@@ -57,8 +61,8 @@ class Resolved:
     smoothed: Callable[[Log], Log] = lambda log: log
 
 
-Ready = Callable[[Sequence[Log], np.ndarray], Data]
-"""What makes logs ready, with a noise of the channels [3], SI."""
+Ready = Callable[[Sequence[Log], Float[np.ndarray, "3"]], Data]
+"""What makes logs ready, with a noise of the channels, SI."""
 
 
 def resolve(
@@ -95,12 +99,12 @@ def resolve(
 
 
 class Smoothed(NamedTuple):
-    """Logs with what drives smoothed, the channels' noise [3] with it, SI, a remark,
+    """Logs with what drives smoothed, the channels' noise with it, SI, a remark,
     and what smooths another log.
     """
 
     logs: tuple[Log, ...]
-    noise: np.ndarray
+    noise: Float[np.ndarray, "3"]
     note: str
     change: Callable[[Log], Log]
 

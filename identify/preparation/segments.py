@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy import interpolate
 from scipy.signal import savgol_filter
 
@@ -31,16 +32,16 @@ class Segment:
 
     log: int
     origin: float  # when the log began
-    t: np.ndarray
+    t: Float[np.ndarray, "ticks"]
     place: interpolate.BSpline
-    v: np.ndarray
-    a: np.ndarray
-    u: np.ndarray
-    P_s: np.ndarray
-    P_r: np.ndarray
-    P: np.ndarray  # [n, 2] as logged
-    F: np.ndarray
-    smoothed: np.ndarray  # F for what it stretches
+    v: Float[np.ndarray, "ticks"]
+    a: Float[np.ndarray, "ticks"]
+    u: Float[np.ndarray, "ticks"]
+    P_s: Float[np.ndarray, "ticks"]
+    P_r: Float[np.ndarray, "ticks"]
+    P: Float[np.ndarray, "ticks 2"]  # as logged
+    F: Float[np.ndarray, "ticks"]
+    smoothed: Float[np.ndarray, "ticks"]  # F for what it stretches
 
 
 def common_band(

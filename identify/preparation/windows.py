@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from hydrojax.identify.preparation.segments import Segment
 from hydrojax.plant.replay import Motion, Windows
@@ -33,7 +34,7 @@ QUARTERS = 4
 """Steps of the bristle per tick."""
 
 
-def starts_in(t: np.ndarray, T: int, pre: int, lead: int) -> range:
+def starts_in(t: Float[np.ndarray, "ticks"], T: int, pre: int, lead: int) -> range:
     """First ticks (of the lead) of the windows that tile a segment with times `t`."""
     settle = SETTLE if t[-1] - t[0] > SHORT else SETTLE / 2
     settled = int(np.searchsorted(t, t[0] + settle))
@@ -41,7 +42,7 @@ def starts_in(t: np.ndarray, T: int, pre: int, lead: int) -> range:
     return range(begin, t.size - lead - T + 1, T)
 
 
-def spread(
+def spread_runs(
     rows: list[tuple[int, slice]], starts: list[range], most: int, size: int
 ) -> tuple[list[tuple[int, slice]], list[range]]:
     """Runs of windows spread evenly, each a stretch with what it needs ahead of it.
@@ -112,8 +113,8 @@ def cut(
     pre: int,
     lead: int,
     n: int,
-) -> tuple[Windows, np.ndarray]:
-    """The windows, and a first guess [W, 2] of the pressures where each begins.
+) -> tuple[Windows, Float[np.ndarray, "windows 2"]]:
+    """The windows, and a first guess of the pressures where each begins, Pa.
 
     `cuts` are segments and first ticks there; a window has `lead + T`, each of `n`
     substeps.

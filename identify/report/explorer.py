@@ -1,4 +1,4 @@
-"""The residual over time as a page zooms into it: envelopes as inline data."""
+"""The residual over time, condensed: for pictures, and as inline data of a page."""
 
 from __future__ import annotations
 
@@ -6,9 +6,17 @@ import base64
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from hydrojax.identify.report.figures import AFTER, BAND, BEFORE
-from hydrojax.identify.report.residuals import compared, drawn, moved, reach
+from hydrojax.identify.report.figures import (
+    AFTER,
+    BAND,
+    BEFORE,
+    compared,
+    drawn,
+    moved,
+    reach,
+)
 from hydrojax.identify.results.outcome import Outcome, Series
 from hydrojax.report.text import engineering
 
@@ -18,13 +26,38 @@ STEPS = 32767
 """Steps from zero to the largest value of a line; one further down is a gap."""
 
 
-def envelope(
-    t: np.ndarray, y: np.ndarray, start: float, step: float, size: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest `y`, [size] each, within half a `step` of each column.
+def condensed(
+    t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"], step: float
+) -> tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]:
+    """`y(t)` as its smallest and largest value in each `step` of time.
 
-    Column i stands at `start + i step`, in the unit of `t` [n], which may hold NaN as
-    `y` [n] may; a column without a sample is NaN.
+    NaN parts stretches that do not adjoin, before and after.
+    """
+    good = np.isfinite(t) & np.isfinite(y)
+    if not good.any():
+        return np.empty(0), np.empty(0)
+    stretch = np.cumsum(~good)[good]
+    t, y = t[good], y[good]
+    column = np.floor((t - t[0]) / step) if step > 0 else np.zeros(t.size)
+    new = (np.diff(column) != 0) | (np.diff(stretch) != 0)
+    starts = np.concatenate([[0], np.nonzero(new)[0] + 1])
+    low, high = np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
+    gap = np.diff(stretch[starts], append=stretch[-1]) != 0
+    rows = np.stack([low, high, np.where(gap, np.nan, high)], axis=1)
+    return np.repeat(t[starts], 3), rows.ravel()
+
+
+def envelope(
+    t: Float[np.ndarray, "rows"],
+    y: Float[np.ndarray, "rows"],
+    start: float,
+    step: float,
+    size: int,
+) -> tuple[Float[np.ndarray, "{size}"], Float[np.ndarray, "{size}"]]:
+    """Smallest and largest `y` within half a `step` of each column.
+
+    Column i stands at `start + i step`, in the unit of `t`, which may hold NaN as
+    `y` may; a column without a sample is NaN.
     """
     good = np.isfinite(t) & np.isfinite(y)
     at = np.clip(np.floor((t[good] - start) / step + 0.5).astype(int), 0, size - 1)
@@ -36,7 +69,9 @@ def envelope(
     return low, high
 
 
-def columns(t: np.ndarray, values: float) -> tuple[float, float, int]:
+def line_columns(
+    t: Float[np.ndarray, "rows"], values: float
+) -> tuple[float, float, int]:
     """Start, step (s) and number of the columns of a line that `values` may take.
 
     The log's own ticks where they fit, else as many columns of two values.
@@ -70,7 +105,7 @@ def _log(s: Series, factors: dict[str, float], ways: list[str], room: float) -> 
     own = [c for c in factors if c in s.before and c in s.after]
     # Two bytes a value, and base64 writes three bytes as four.
     values = room / max(len(own) * len(ways), 1) / (2 * 4 / 3)
-    start, step, size = columns(s.t, values)
+    start, step, size = line_columns(s.t, values)
     lines = {
         c: {
             w: _line(*envelope(s.t, getattr(s, w)[c], start, step, size), factors[c])

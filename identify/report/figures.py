@@ -1,12 +1,12 @@
 """Errors, candidates and parameters as pictures, and the style of all pictures.
 
-None touches pyplot; what is left over time and against signals is in `residuals`.
+None touches pyplot; the residual over time and against signals is in `residuals`.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import TYPE_CHECKING, Any
 
@@ -22,9 +22,15 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from hydrojax.report.text import engineering, p_text, symbol, words
 
 if TYPE_CHECKING:
-    from hydrojax.identify.results.outcome import Candidate, Outcome, Parameter
+    from hydrojax.identify.results.outcome import (
+        Candidate,
+        ChannelErrors,
+        Outcome,
+        Parameter,
+        Series,
+    )
 
-# Okabe and Ito's palette: told apart by colour-blind readers and in greyscale.
+# Okabe and Ito's palette: distinguished by colour-blind readers and in greyscale.
 BEFORE, AFTER, ABOVE, BAND = "#8F8F8F", "#0072B2", "#D55E00", "#F7F0A8"
 DASHES = (0, (4, 3))
 STATUS = {
@@ -253,3 +259,29 @@ def every_parameter(outcome: Outcome) -> dict[str, Parameter]:
     own = {f"{e.name}.{n}": p for e in outcome.effects for n, p in e.parameters.items()}
     # A run may list an effect's parameters in both places.
     return outcome.parameters | own
+
+
+def drawn(outcome: Outcome) -> list[Series]:
+    """The validation logs of which there is something to draw."""
+    return [s for s in outcome.series if np.isfinite(s.t).any()]
+
+
+def compared(outcome: Outcome, series: Sequence[Series]) -> list[str]:
+    """The channels of which some of these logs has a residual."""
+    return [c for c in outcome.channels if any(c in s.before for s in series)]
+
+
+def moved(series: Sequence[Series], names: Sequence[str]) -> bool:
+    """Whether any residual after differs from the one before."""
+    return any(
+        not np.array_equal(s.before[c], s.after[c], equal_nan=True)
+        for c in names
+        for s in series
+        if c in s.before and c in s.after
+    )
+
+
+def reach(c: ChannelErrors) -> float:
+    """About how large a channel's residual is, of what is finite."""
+    sizes = [size for size in (c.before, c.after, 2 * c.noise) if np.isfinite(size)]
+    return max(sizes, default=0.0)

@@ -1,23 +1,35 @@
-"""What is left as pictures: over time, against signals, and in the loop run again."""
+"""The residual as pictures: over time, against signals, and in the loop run again."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from hydrojax.identify.report.figures import AFTER, BAND, BEFORE, DASHES, sheet, styled
+from hydrojax.identify.report.explorer import condensed
+from hydrojax.identify.report.figures import (
+    AFTER,
+    BAND,
+    BEFORE,
+    DASHES,
+    compared,
+    drawn,
+    moved,
+    reach,
+    sheet,
+    styled,
+)
 from hydrojax.report.text import engineering, signal_unit, symbol, words
 
 if TYPE_CHECKING:
-    from hydrojax.identify.results.outcome import Channel, Effect, Outcome, Series
+    from hydrojax.identify.results.outcome import FoundEffect, Outcome, Series
 
 POINTS = 700
 """Columns into which a long residual is condensed."""
@@ -25,47 +37,6 @@ LOGS = 3
 """Validation logs whose residual is drawn."""
 LOOP_SECONDS = 3.0
 """How much of a run in closed loop is drawn."""
-
-
-def condensed(
-    t: np.ndarray, y: np.ndarray, step: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """`y(t)` as its smallest and largest value in each `step` of time.
-
-    Takes and gives [n]; NaN parts stretches that do not adjoin, before and after.
-    """
-    good = np.isfinite(t) & np.isfinite(y)
-    if not good.any():
-        return np.empty(0), np.empty(0)
-    stretch = np.cumsum(~good)[good]
-    t, y = t[good], y[good]
-    column = np.floor((t - t[0]) / step) if step > 0 else np.zeros(t.size)
-    new = (np.diff(column) != 0) | (np.diff(stretch) != 0)
-    starts = np.concatenate([[0], np.nonzero(new)[0] + 1])
-    low, high = np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
-    gap = np.diff(stretch[starts], append=stretch[-1]) != 0
-    rows = np.stack([low, high, np.where(gap, np.nan, high)], axis=1)
-    return np.repeat(t[starts], 3), rows.ravel()
-
-
-def drawn(outcome: Outcome) -> list[Series]:
-    """The validation logs of which there is something to draw."""
-    return [s for s in outcome.series if np.isfinite(s.t).any()]
-
-
-def compared(outcome: Outcome, series: Sequence[Series]) -> list[str]:
-    """The channels of which some of these logs has a residual."""
-    return [c for c in outcome.channels if any(c in s.before for s in series)]
-
-
-def moved(series: Sequence[Series], names: Sequence[str]) -> bool:
-    """Whether any residual after differs from the one before."""
-    return any(
-        not np.array_equal(s.before[c], s.after[c], equal_nan=True)
-        for c in names
-        for s in series
-        if c in s.before and c in s.after
-    )
 
 
 @styled
@@ -161,7 +132,7 @@ def _liveliest(t: np.ndarray, y: np.ndarray) -> int:
     )
 
 
-def command_unit(outcome: Outcome) -> str:
+def _command_unit(outcome: Outcome) -> str:
     """`V` where the valve coefficients are per volt, else nothing."""
     volts = any(re.search(r"\bV\b", p.unit) for p in outcome.parameters.values())
     return "V" if volts else ""
@@ -171,7 +142,7 @@ def _signal(s: Series, name: str) -> np.ndarray | None:
     return s.t if name == "t" and name not in s.signals else s.signals.get(name)
 
 
-def improved(effect: Effect, outcome: Outcome) -> list[str]:
+def improved(effect: FoundEffect, outcome: Outcome) -> list[str]:
     """Channels whose error the effect lowered, the best always, slight ones not."""
     fall = {
         c: (effect.before[c] - effect.after.get(c, np.inf)) / outcome.channels[c].noise
@@ -213,12 +184,12 @@ def _pooled(outcome: Outcome, channel: str, signal: str) -> np.ndarray:
 
 
 def binned(
-    x: np.ndarray, y: np.ndarray, bins: int = 28
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of x, mean and standard deviation of y, [k] each, in equal parts of x.
+    x: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"], bins: int = 28
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Mean of x, mean and standard deviation of y in equal parts of x.
 
     The outermost half per cent of x, and parts with next to nothing in them, are left
-    out; `x` and `y` are [n], finite.
+    out; `x` and `y` are finite.
     """
     low, high = np.percentile(x, [0.5, 99.5])
     edges = np.linspace(low, high, bins + 1)
@@ -269,7 +240,7 @@ def _dependence(
 ) -> None:
     x, before, after, way = _pooled(outcome, channel, name)
     c = outcome.channels[channel]
-    unit = signal_unit(name, command_unit(outcome))
+    unit = signal_unit(name, _command_unit(outcome))
     fx, ux = engineering(float(np.percentile(np.abs(x), 99)), unit)
     fy, uy = engineering(reach(c), c.unit)
     x, noise = x / fx, c.noise / fy
@@ -291,12 +262,6 @@ def _dependence(
     ax.set_ylabel(f"{symbol(channel)} residual [{uy or 1}]")
     ax.set_title(cause, loc="left", fontsize=9, weight="bold")
     ax.xaxis.set_major_locator(MaxNLocator(5))
-
-
-def reach(c: Channel) -> float:
-    """About how large a channel's residual is, of what is finite."""
-    sizes = [size for size in (c.before, c.after, 2 * c.noise) if np.isfinite(size)]
-    return max(sizes, default=0.0)
 
 
 def _senses(way: np.ndarray, turns: bool) -> list[tuple[np.ndarray, str]]:

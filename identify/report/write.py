@@ -12,8 +12,8 @@ from typing import Any
 from hydrojax.identify.report import figures, residuals
 from hydrojax.identify.report.explorer import explorer_data
 from hydrojax.identify.results.outcome import (
-    Channel,
-    Effect,
+    ChannelErrors,
+    FoundEffect,
     LoopCheck,
     Outcome,
     Parameter,
@@ -22,7 +22,7 @@ from hydrojax.identify.results.outcome import (
 from hydrojax.identify.results.show import (
     PICTURES,
     change,
-    draw,
+    drawn_picture,
     listed,
     remarks,
     share,
@@ -30,14 +30,13 @@ from hydrojax.identify.results.show import (
     times_noise,
 )
 from hydrojax.report.files import write_all
-from hydrojax.report.page import Picture
-from hydrojax.report.page import page as make_page
-from hydrojax.report.text import p_text, quantity, words
+from hydrojax.report.page import Picture, page
+from hydrojax.report.text import p_text, quantity_text, words
 
 FORMAT = "hydrojax-report/1"
 
 
-def json_of(outcome: Outcome) -> dict[str, Any]:
+def report_json(outcome: Outcome) -> dict[str, Any]:
     """The content of report.json: SI units; null for what is not a finite number."""
     o = outcome
     found = {
@@ -81,7 +80,7 @@ def _parameter(p: Parameter) -> dict[str, Any]:
     }
 
 
-def _effect(e: Effect) -> dict[str, Any]:
+def _effect(e: FoundEffect) -> dict[str, Any]:
     own = {n: _parameter(p) for n, p in e.parameters.items()}
     # Not asdict: it would spell a parameter's fields in another way than the rig's.
     return {
@@ -95,7 +94,7 @@ def _effect(e: Effect) -> dict[str, Any]:
     }
 
 
-def _channel(c: Channel) -> dict[str, Any]:
+def _channel(c: ChannelErrors) -> dict[str, Any]:
     own = asdict(c)
     return own if c.validate else {k: v for k, v in own.items() if k != "validate"}
 
@@ -123,11 +122,11 @@ def _strict(value: Any) -> Any:
     return value
 
 
-def pictures(outcome: Outcome) -> list[Picture]:
+def report_pictures(outcome: Outcome) -> list[Picture]:
     """All figures that this outcome has something to show in."""
     made = []
     for name in PICTURES:
-        figure = draw(outcome, name)
+        figure = drawn_picture(outcome, name)
         if figure is not None:
             alt, caption = _described(name, outcome)
             made.append(Picture(name, figures.png(figure), alt, caption))
@@ -187,7 +186,7 @@ def _loop_said(outcome: Outcome) -> tuple[str, str]:
     loop = outcome.loops[0]
     return (
         f"Output force over time in {loop.log}: desired, measured, and simulated; "
-        f"measured and simulated differ by {quantity(loop.rms, 'N')} RMS.",
+        f"measured and simulated differ by {quantity_text(loop.rms, 'N')} RMS.",
         "The log's desired force in the simulated loop: the identified rig, the "
         "paper's law with the rig file's [controller]; motion and supply are the "
         "log's. The "
@@ -217,12 +216,13 @@ def _parameter_said(outcome: Outcome) -> tuple[str, str]:
     )
 
 
-def page(outcome: Outcome, shown: Sequence[Picture]) -> str:
+def report_page(outcome: Outcome, shown: Sequence[Picture]) -> str:
     """report.html, with its pictures inside."""
     help_ = (
-        quantity, change, remarks, times_noise, standing, share, listed, words, p_text,
+        quantity_text, change, remarks, times_noise, standing, share, listed, words,
+        p_text,
     )  # fmt: skip
-    return make_page(
+    return page(
         Path(__file__).parent / "report.html",
         help_,
         o=outcome,
@@ -240,10 +240,12 @@ def write_report(outcome: Outcome, folder: Path) -> None:
     All is made before the first file appears; a report that stands there is replaced,
     and files that are not a report's stay.
     """
-    shown = pictures(outcome)
-    text = json.dumps(json_of(outcome), indent=1, allow_nan=False, ensure_ascii=False)
+    shown = report_pictures(outcome)
+    text = json.dumps(
+        report_json(outcome), indent=1, allow_nan=False, ensure_ascii=False
+    )
     files = {f"report_{p.name}.png": p.png for p in shown}
-    files["report.html"] = page(outcome, shown).encode()
+    files["report.html"] = report_page(outcome, shown).encode()
     files["report.json"] = (text + "\n").encode()
     if outcome.rig_file:
         files["rig.toml"] = outcome.rig_file.encode()

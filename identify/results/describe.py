@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from jaxtyping import Float
 from scipy import signal
 
 from hydrojax.identify.results.outcome import Dependence, Unexplained
@@ -15,15 +16,24 @@ def unexplained(
     channel: str,
     unit: str,
     noise: float,
-    residual: np.ndarray,
-    signals: Mapping[str, np.ndarray],
+    residual: Float[np.ndarray, "windows ticks"],
+    signals: Mapping[str, Float[np.ndarray, "windows ticks"]],
     tick: float,
     criteria: Criteria = Criteria(),
 ) -> Unexplained:
-    """Describe the residual [W, T] (SI) of a channel that stays above its noise.
+    """Describe the residual of a channel that stays above its noise.
 
-    `signals` are [W, T] each; `tick` the step, s. The sentence is a description, not
-    a cause: what it follows is where an engineer would look first.
+    The sentence is a description, not a cause: what the residual follows is where an
+    engineer would look first.
+
+    Args:
+        channel: its name.
+        unit: its unit.
+        noise: its standard deviation, SI.
+        residual: measured minus replayed, SI.
+        signals: with which it may correlate, by name.
+        tick: step of the log, s.
+        criteria: from which share on a correlation is stated.
     """
     excess = float(np.sqrt(max(np.mean(residual**2) - noise**2, 0.0)))
     size = f"{channel} stays {_size(excess, unit)} RMS above its noise"
@@ -105,16 +115,18 @@ ADVICE = {
 
 
 def advice(channel: str, follows: str) -> str:
-    """The excitation that would tell more of such a residual."""
+    """The excitation in which such a residual would show more clearly."""
     return ADVICE.get(follows, (_FAST, _FAST))[channel != "F"]
 
 
 def dependence(
-    residual: np.ndarray, s: np.ndarray, criteria: Criteria = Criteria()
+    residual: Float[np.ndarray, "windows ticks"],
+    s: Float[np.ndarray, "windows ticks"],
+    criteria: Criteria = Criteria(),
 ) -> tuple[float, float]:
     """Share of the residual's square held by its means between quantiles of `s`.
 
-    Both [W, T]. The share is less what the same sum holds by chance, when the signal's
+    The share is less what the same sum holds by chance, when the signal's
     windows are exchanged among each other; beside it the p-value that these exchanges
     give, at least 1 / (`criteria.shuffles` + 1).
     """
@@ -139,7 +151,9 @@ def dependence(
     return float(share), float(p)
 
 
-def spectral_line(residual: np.ndarray, tick: float) -> tuple[float, float]:
+def spectral_line(
+    residual: Float[np.ndarray, "windows ticks"], tick: float
+) -> tuple[float, float]:
     """Frequency (Hz) of the highest line of the residual, and its height.
 
     The height is above a running median of the spectrum.

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrojax.identify.estimation.problem import Known
+from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.inference.uncertainty import curvature
 from hydrojax.identify.tracing.state import Tracing
 
@@ -15,13 +15,13 @@ from hydrojax.identify.tracing.state import Tracing
 def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> tuple[str, ...]:
     """Parameters that the fitted logs leave open and the check needs.
 
-    A fit to the check's logs, held by what the fitted logs tell of every parameter. The
+    A fit to the check's logs, held by what the fitted logs identify. The
     names are empty unless there are values with which every channel of all the logs is
     at its noise: then nothing says that the model lacks anything.
 
     Args:
         state: where a run ended.
-        unidentifiable: those that the fitted logs do not tell; they are named first.
+        unidentifiable: those that the fitted logs do not identify, named first.
     """
     own = state.criteria
     noise, free, index = state.noise, state.free, _index(state)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
 
 from hydrojax.identify.tracing.criteria import Criteria
 
@@ -39,7 +40,7 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Channel:
+class ChannelErrors:
     """Error of one channel, RMS, SI: on the test logs where there are any, and then
     that on the validation logs is `validate`; else on the validation logs.
     """
@@ -52,7 +53,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Effect:
+class FoundEffect:
     """An effect that was named; `parameters` by their own names; errors by channel, on
     the validation logs.
     """
@@ -113,33 +114,45 @@ class Unexplained:
 class Series:
     """Residuals of one validation log over its windows, for pictures; SI.
 
-    `t` [n] s since the log began, with NaN rows between windows that do not adjoin;
-    `before`, `after` [n] by channel; `signals` [n] by name: the quantities against
-    which a residual may stand out (`v`, `x`, `P_a1 + P_a2`, `u`, ...).
+    Attributes:
+        log: its name.
+        t: s since the log began, with NaN rows between windows that do not adjoin.
+        measured: by channel.
+        before: residuals of the declared model, by channel.
+        after: residuals of the final model, by channel.
+        signals: by name, the quantities against which a residual may stand out (`v`,
+            `x`, `P_a1 + P_a2`, `u`, ...).
     """
 
     log: str
-    t: np.ndarray
-    measured: dict[str, np.ndarray]
-    before: dict[str, np.ndarray]
-    after: dict[str, np.ndarray]
-    signals: dict[str, np.ndarray]
+    t: Float[np.ndarray, "rows"]
+    measured: dict[str, Float[np.ndarray, "rows"]]
+    before: dict[str, Float[np.ndarray, "rows"]]
+    after: dict[str, Float[np.ndarray, "rows"]]
+    signals: dict[str, Float[np.ndarray, "rows"]]
 
 
 @dataclass(frozen=True)
 class LoopCheck:
     """A measured closed-loop run beside the same run in the identified loop; SI.
 
-    `t` [n] s since the run began; `desired`, `measured`, `simulated` [n] the forces.
-    `rms` is of measured - simulated, `tracking_*` of desired minus each. `warning` says
-    what kept the simulation from being believed, or nothing.
+    Attributes:
+        log: its name.
+        t: s since the run began.
+        desired: force.
+        measured: force.
+        simulated: force.
+        rms: of measured - simulated.
+        tracking_measured: RMS of desired - measured.
+        tracking_simulated: RMS of desired - simulated.
+        warning: why the simulation is not valid, or empty.
     """
 
     log: str
-    t: np.ndarray
-    desired: np.ndarray
-    measured: np.ndarray
-    simulated: np.ndarray
+    t: Float[np.ndarray, "rows"]
+    desired: Float[np.ndarray, "rows"]
+    measured: Float[np.ndarray, "rows"]
+    simulated: Float[np.ndarray, "rows"]
     rms: float
     tracking_measured: float
     tracking_simulated: float
@@ -148,10 +161,10 @@ class LoopCheck:
 
 @dataclass(frozen=True)
 class Covariance:
-    """Covariance [n, n] of the fitted parameters inside their ranges, by name; SI."""
+    """Covariance of the fitted parameters inside their ranges, by name; SI."""
 
     names: tuple[str, ...]
-    matrix: np.ndarray
+    matrix: Float[np.ndarray, "n n"]
 
 
 @dataclass(frozen=True)
@@ -172,8 +185,8 @@ class Outcome:
     verdict: str
     sentence: str
     parameters: dict[str, Parameter]
-    channels: dict[str, Channel]
-    effects: tuple[Effect, ...] = ()
+    channels: dict[str, ChannelErrors]
+    effects: tuple[FoundEffect, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
     limits: tuple[str, ...] = ()

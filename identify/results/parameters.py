@@ -10,7 +10,7 @@ from jaxtyping import Float
 from hydrojax.effects import EFFECTS
 from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
-from hydrojax.identify.results.outcome import Effect, Parameter
+from hydrojax.identify.results.outcome import FoundEffect, Parameter
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import Spec, parameter_specs
 from hydrojax.units import with_command
@@ -72,7 +72,7 @@ def named_effects(
     state: Tracing,
     uncertainty: Uncertainty,
     errors: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]],
-) -> tuple[Effect, ...]:
+) -> tuple[FoundEffect, ...]:
     """The effects that were added, and what each did to the validation error.
 
     `errors` [3] are those before all of them and after, RMS, SI.
@@ -80,13 +80,13 @@ def named_effects(
     spec = parameter_specs(state.problem.model.rig)
     seen = [c for c in range(3) if np.isfinite(state.noise[c])]
     out = []
-    # What an effect did is told to where the next one came in, and the last to the end:
+    # An effect counts up to where the next one came in, the last to the end:
     # the force is fitted only after the pressures have theirs.
     ends = [errors[0], *(a.before for a in state.added[1:]), errors[1]]
     for i, added in enumerate(state.added):
         own = [n for n in spec if n.startswith(f"{added.name}.")]
         out.append(
-            Effect(
+            FoundEffect(
                 name=added.name,
                 parameters=dict(
                     parameter_of(n, case, state, uncertainty, spec[n]) for n in own

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from hydrojax.errors import InputError
 from hydrojax.identify.report import figures, residuals
 from hydrojax.report import markup
-from hydrojax.report.text import p_text, quantity, words
+from hydrojax.report.text import p_text, quantity_text, words
 
 if TYPE_CHECKING:
-    from hydrojax.identify.results.outcome import Channel, Outcome, Parameter
+    from hydrojax.identify.results.outcome import ChannelErrors, Outcome, Parameter
 
 PICTURES = {
     "error": figures,
@@ -58,7 +58,7 @@ def times_noise(value: float, noise: float) -> str:
     return f"{ratio:.2f} × noise" if ratio < 100 else f"{ratio:.0f} × noise"
 
 
-def standing(c: Channel, at_noise: float) -> str:
+def standing(c: ChannelErrors, at_noise: float) -> str:
     """Where a channel's error stands, in words."""
     if not math.isfinite(c.after) or not 0 < c.noise < math.inf:
         return "not compared"
@@ -78,7 +78,7 @@ def listed(names: Sequence[str]) -> str:
     return " or ".join([", ".join(said[:-1]), said[-1]] if len(said) > 1 else said)
 
 
-def draw(outcome: Outcome, picture: str) -> Figure | None:
+def drawn_picture(outcome: Outcome, picture: str) -> Figure | None:
     """One of `PICTURES`, or None where there is nothing to show in it."""
     return getattr(PICTURES[picture], f"{picture}_figure")(outcome)
 
@@ -92,27 +92,28 @@ def plot(outcome: Outcome, picture: str | None = None) -> Figure:
     if picture is not None and picture not in PICTURES:
         raise InputError(f"picture {picture!r}: write one of {', '.join(PICTURES)}")
     for name in TELLING if picture is None else (picture,):
-        figure = draw(outcome, name)
+        figure = drawn_picture(outcome, name)
         if figure is not None:
             return figure
     raise InputError(f"{outcome.rig}: nothing to show in {picture or 'any picture'}")
 
 
-def html(outcome: Outcome) -> str:
+def result_html(outcome: Outcome) -> str:
     """Verdict, effects, channels and fitted parameters: what a notebook shows."""
     effects = [
-        (words(e.name), name, quantity(p.value, p.unit, p.std), p_text(e.p_value),
+        (words(e.name), name, quantity_text(p.value, p.unit, p.std), p_text(e.p_value),
          listed(e.cannot_tell_from) if e.cannot_tell_from else "")
         for e in outcome.effects
         for name, p in e.parameters.items()
     ]  # fmt: skip
     channels = [
-        (name, *(quantity(v, c.unit, figures=3) for v in (c.noise, c.before, c.after)),
+        (name, *(quantity_text(v, c.unit, figures=3)
+                 for v in (c.noise, c.before, c.after)),
          times_noise(c.after, c.noise), standing(c, outcome.criteria.at_noise))
         for name, c in outcome.channels.items()
     ]  # fmt: skip
     found = [
-        (name, quantity(p.value, p.unit, p.std), _interval(p), remarks(p))
+        (name, quantity_text(p.value, p.unit, p.std), _interval(p), remarks(p))
         for name, p in figures.every_parameter(outcome).items()
         if p.free
     ]
@@ -127,11 +128,11 @@ def html(outcome: Outcome) -> str:
 
 
 def _interval(p: Parameter) -> str:
-    """An interval's ends, with as many figures as tell them apart to a hundredth."""
+    """An interval's ends, with as many figures as distinguish them to a hundredth."""
     if p.interval is None or not all(math.isfinite(end) for end in p.interval):
         return "–"
     low, high = p.interval
     size, width = max(abs(low), abs(high)), high - low
     enough = 2 + math.ceil(math.log10(size / width)) if width > 0 else 4
-    ends = (quantity(end, p.unit, figures=max(enough, 3)) for end in p.interval)
+    ends = (quantity_text(end, p.unit, figures=max(enough, 3)) for end in p.interval)
     return " to ".join(ends)

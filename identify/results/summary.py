@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrojax.identify.estimation.fit import Point
-from hydrojax.identify.estimation.problem import batch_of
+from hydrojax.identify.estimation.fit import FitPoint
+from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results import describe
 from hydrojax.identify.results.extrapolation import extrapolation
 from hydrojax.identify.results.outcome import (
     Candidate,
-    Channel,
+    ChannelErrors,
     Covariance,
-    Effect,
     Errors,
+    FoundEffect,
     Outcome,
     Unexplained,
 )
@@ -37,7 +37,7 @@ UNITS = ("Pa", "Pa", "N")
 
 
 def summarise(
-    command: str, case: Case, state: Tracing, base: Point, uncertainty: Uncertainty
+    command: str, case: Case, state: Tracing, base: FitPoint, uncertainty: Uncertainty
 ) -> Outcome:
     """All that was found, from the state a run ended in, its base fit, and the
     uncertainty of its parameters.
@@ -94,7 +94,7 @@ def _channels(
     ends: tuple[np.ndarray, np.ndarray],
     errors: tuple[np.ndarray, np.ndarray],
     seen: list[int],
-) -> dict[str, Channel]:
+) -> dict[str, ChannelErrors]:
     """Errors at the values `ends` [n]: of the test logs where there are any, with those
     of the validation logs, which are `errors` [3], beside them.
     """
@@ -105,7 +105,7 @@ def _channels(
     out = {}
     for c in seen:
         beside = Errors(float(errors[0][c]), float(errors[1][c]))
-        out[CHANNELS[c]] = Channel(
+        out[CHANNELS[c]] = ChannelErrors(
             UNITS[c],
             float(state.noise[c]),
             float(own[0][c]),
@@ -143,7 +143,7 @@ def _left(
 
 
 def _untested(
-    channels: Mapping[str, Channel], verdict: str, at_noise: float
+    channels: Mapping[str, ChannelErrors], verdict: str, at_noise: float
 ) -> list[str]:
     """Test errors that disagree with a verdict of the validation logs."""
     if verdict == "unknown":
@@ -156,11 +156,11 @@ def _untested(
     ]
 
 
-def _undecided(effects: tuple[Effect, ...]) -> list[str]:
-    """What would decide between effects that these logs cannot tell apart."""
+def _undecided(effects: tuple[FoundEffect, ...]) -> list[str]:
+    """What would decide between effects that these logs do not distinguish."""
     return [
         f"{e.name} and {other} look alike in these logs: `hydrojax excite RIG "
-        f"--separate {e.name} {other}` finds a course that tells them apart"
+        f"--separate {e.name} {other}` finds an experiment that distinguishes them"
         for e in effects
         for other in e.cannot_tell_from
     ]
@@ -207,7 +207,7 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
         elif what == "absent":
             why = "these logs would have shown it at a size that matters"
         elif like := [a.name for a in state.added if name in a.cannot_tell_from]:
-            why = f"does as well as {like[0]}: these logs do not tell them apart"
+            why = f"does as well as {like[0]}: these logs do not distinguish them"
         elif what == "cannot tell":
             why = "these logs would not show it at a size that matters"
         elif not why:
@@ -228,7 +228,7 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
 def _sentence(
     command: str,
     verdict: str,
-    effects: tuple[Effect, ...],
+    effects: tuple[FoundEffect, ...],
     left: tuple[Unexplained, ...],
     held_out: bool,
     needed: tuple[str, ...],

@@ -53,7 +53,7 @@ class Criteria:
     rounds: int = 4
     """Effects that each of the two stages may add, count. `benchmarks.trace`."""
     first_step: float = 0.5
-    """Part of the step foreseen by a score from which a refit starts, 1: the step is
+    """Part of the step predicted by a score from which a refit starts, 1: the step is
     linear and tends to overshoot. `benchmarks.trace`."""
     power: float = 0.8
     """Power of the test from which an effect that was not seen is absent, 1.
@@ -77,7 +77,7 @@ class Criteria:
     """Half range of the starts about the declared values, relative. `benchmarks.trace`.
     """
     start_windows: int = 32
-    """Windows on which the starts are compared, count: time against what they tell."""
+    """Windows on which the starts are compared, count: time against information."""
     reweighted_above: float = 1.25
     """RMS misfit over the noise from which a channel is weighted by its misfit, 1: it
     would otherwise distort the parameters that the other channels determine.
@@ -171,7 +171,7 @@ class Criteria:
     backward_speed: float = 0.3
     """Standard deviations of the speed from which it counts as moving there, 1."""
 
-    # -- what is left --
+    # -- the residual --
 
     correlates: float = 0.08
     """Share of the residual variance that a signal must explain to be named, 1.

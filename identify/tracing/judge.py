@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
-from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
@@ -13,9 +14,12 @@ from hydrojax.plant.effect import Effect
 
 
 def judge(
-    state: Tracing, before: np.ndarray, after: np.ndarray, noise: np.ndarray
+    state: Tracing,
+    before: Float[np.ndarray, "windows 3"],
+    after: Float[np.ndarray, "windows 3"],
+    noise: Float[np.ndarray, "3"],
 ) -> str:
-    """Whether an effect helps, from validation errors [W, 3] before and after.
+    """Whether an effect helps, from validation errors before and after.
 
     It must lower some channel's error beyond chance (paired by window) by `matters`
     of its noise, and either bring that channel to its noise or take a fair share of
@@ -41,7 +45,7 @@ def judge(
     return "helps"
 
 
-def negligible(problem: Problem, point: Point, effect: Effect) -> bool:
+def negligible(problem: Problem, point: FitPoint, effect: Effect) -> bool:
     """Whether all of an effect's strengths came out under the least that is it."""
     names = problem.model.names
     return all(
@@ -69,20 +73,29 @@ def _falls(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     )
 
 
-def chance(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:
-    """Chance that errors [W, 3] fell as clearly as they did in their best channel."""
+def chance(
+    before: Float[np.ndarray, "windows 3"],
+    after: Float[np.ndarray, "windows 3"],
+    noise: Float[np.ndarray, "3"],
+) -> float:
+    """Chance that errors fell as clearly as they did in their best channel."""
     seen = np.isfinite(noise)
     best = float(np.max(_falls(before[:, seen], after[:, seen])))
     return float(min(2 * seen.sum() * stats.t.sf(best, len(before) - 1), 1.0))
 
 
-def cost(sse: np.ndarray, noise: np.ndarray) -> float:
-    """Chi-square of squared errors [W, 3], over the channels that are seen."""
+def cost(sse: Float[np.ndarray, "windows 3"], noise: Float[np.ndarray, "3"]) -> float:
+    """Chi-square of squared errors over the channels that are seen."""
     seen = np.isfinite(noise)
     return float(np.sum(sse[:, seen] / noise[seen] ** 2))
 
 
-def worse(a: np.ndarray, b: np.ndarray, noise: np.ndarray, by: float) -> bool:
+def worse(
+    a: Float[np.ndarray, "windows 3"],
+    b: Float[np.ndarray, "windows 3"],
+    noise: Float[np.ndarray, "3"],
+    by: float,
+) -> bool:
     """Whether errors `a` exceed `b` by `by` standard errors, paired by window."""
     seen = np.isfinite(noise)
     d = np.sum((a - b)[:, seen] / noise[seen] ** 2, axis=1)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrojax.identify.estimation.fit import Point, fit_force, fit_jointly, only
+from hydrojax.identify.estimation.fit import FitPoint, fit_force, fit_jointly, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.judge import chance, cost, judge, negligible, worse
@@ -19,7 +19,7 @@ from hydrojax.plant.effect import Effect
 from hydrojax.plant.places import place_of
 
 
-def trace(state: Tracing) -> Tracing:
+def search_effects(state: Tracing) -> Tracing:
     """Look for effects until none is left that matters: pressures first, then all.
 
     Force stands downstream of pressure, so what the pressures lack is found on them
@@ -96,7 +96,7 @@ def _round(
     ]
     before = state.check.errors_at(state.point.values)
     tried = dict(state.tried)
-    helped: list[tuple[float, str, Problem, Point, np.ndarray]] = []
+    helped: list[tuple[float, str, Problem, FitPoint, np.ndarray]] = []
     for i, s in enumerate(worth):
         if i >= criteria.tries and s.gain < criteria.near_best * worth[0].gain:
             break

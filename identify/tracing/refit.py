@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
-from hydrojax.identify.estimation.fit import Point, fit_jointly, fit_pressures
+from hydrojax.identify.estimation.fit import FitPoint, fit_jointly, fit_pressures
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.judge import cost
 from hydrojax.identify.tracing.score import Score
@@ -16,20 +17,20 @@ from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengt
 from hydrojax.plant.effect import Effect
 
 FRICTION = ("velocity", "level", "friction")
-"""Places of effects that friction's own parameters stand in for."""
+"""Places of effects for which friction's own parameters can compensate."""
 
 
 def refit(
-    state: Tracing, effect: Effect, s: Score, noise: np.ndarray
-) -> tuple[Problem, Point]:
-    """Fit again with the effect free, from part of the step that its score foresees;
+    state: Tracing, effect: Effect, s: Score, noise: Float[np.ndarray, "3"]
+) -> tuple[Problem, FitPoint]:
+    """Fit again with the effect free, from part of the step that its score predicts;
     and, as long as that leaves something, from where else it may lie.
     """
     problem, at_noise = state.problem, state.criteria.at_noise
     free = (*state.free, *free_names(effect))
     seen = np.isfinite(noise)
 
-    def one(values: np.ndarray) -> tuple[Problem, Point, np.ndarray]:
+    def one(values: np.ndarray) -> tuple[Problem, FitPoint, np.ndarray]:
         if not seen[2]:
             done, values = fit_pressures(problem, values, free)
             point = replace(state.point, values=values)
@@ -61,7 +62,7 @@ def _elsewhere(
     if effect.place in ("sensor_P", "sensor_F"):
         return
     for back in _brought_back(problem, here, state.free, effect.place in FRICTION):
-        # What the score foresees from there is another step, often of another sign.
+        # What the score predicts from there is another step, often of another sign.
         there = replace(state, point=replace(state.point, values=back))
         other = scores_of(there, {effect.name: effect}, noise)[effect.name]
         yield _stepped(problem, back, effect, other, state.criteria.first_step)
@@ -85,7 +86,7 @@ def _brought_back(
     """The values with mechanical ones back at their start: those at an end of their
     range, if any are, and with `friction` all of them.
 
-    A model that lacks an effect drives its own parameters far off to stand in for it,
+    A model that lacks an effect drives its own parameters far off to compensate for it,
     and from there a fit may not find back.
     """
     mechanical = problem.side(free, False)

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
 from hydrojax.identify.tracing.criteria import Criteria
@@ -19,24 +20,31 @@ from hydrojax.identify.tracing.criteria import Criteria
 class Score:
     """One candidate at zero strength, before any refit.
 
-    `gain`: fall of chi-square that a linear step along it would bring, with all fitted
-    parameters free to follow; `step`: that step, in units of the columns; `p_value`:
-    of the cluster-robust score test, for this candidate alone; `power`: the chance
-    that the test would have seen the effect at a size that matters; `shape`: the values
-    of its shape at which it was scored; `left`: all of chi-square; `power_at_noise`:
-    the power were the residual at its noise; `by_window` [W, columns]: the windows'
-    scores, of which the test is the sum.
+    Attributes:
+        name: the candidate's.
+        gain: fall of chi-square that a linear step along it would bring, with all
+            fitted parameters free to follow.
+        step: that step, in units of the columns.
+        p_value: of the cluster-robust score test, for this candidate alone.
+        power: the chance that the test would have seen the effect at a size that
+            matters.
+        left: chi-square before the step.
+        power_at_noise: the power were the residual at its noise.
+        shape: the values of its shape at which it was scored.
+        by_window: the windows' scores, of which the test is the sum.
     """
 
     name: str
     gain: float
-    step: np.ndarray
+    step: Float[np.ndarray, "columns"]
     p_value: float
     power: float
     left: float
     power_at_noise: float
     shape: Mapping[str, float] = field(default_factory=dict)
-    by_window: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    by_window: Float[np.ndarray, "windows columns"] = field(
+        default_factory=lambda: np.zeros((0, 0))
+    )
 
     @property
     def share(self) -> float:
@@ -45,9 +53,14 @@ class Score:
 
 
 class Projection:
-    """The Gram matrices [W, n+1, n+1] with the fitted columns projected out."""
+    """The windows' Gram matrices with the fitted columns projected out."""
 
-    def __init__(self, gram: np.ndarray, fitted: Sequence[int], prior: np.ndarray):
+    def __init__(
+        self,
+        gram: Float[np.ndarray, "windows rows rows"],
+        fitted: Sequence[int],
+        prior: Float[np.ndarray, "n"],
+    ):
         total = gram.sum(axis=0)
         total[np.arange(prior.size), np.arange(prior.size)] += prior**2
         A = total[np.ix_(fitted, fitted)]
@@ -59,12 +72,12 @@ class Projection:
         r = total.shape[0] - 1
         self.left = float(self.curvature([r], [r])[0, 0])
 
-    def curvature(self, a: Sequence[int], b: Sequence[int]) -> np.ndarray:
+    def curvature(self, a: Sequence[int], b: Sequence[int]) -> Float[np.ndarray, "a b"]:
         """Products of the projected columns `a` and `b`."""
         f = self.total[np.ix_(self.fitted, b)]
         return self.total[np.ix_(a, b)] - self.through[:, a].T @ f
 
-    def scores(self, a: Sequence[int]) -> np.ndarray:
+    def scores(self, a: Sequence[int]) -> Float[np.ndarray, "windows a"]:
         """Each window's product of the projected columns `a` with the residual."""
         r = self.gram.shape[1] - 1
         own = self.gram[:, a, r]
@@ -79,7 +92,7 @@ def score(
     projection: Projection,
     name: str,
     columns: Sequence[int],
-    ends: np.ndarray,
+    ends: Float[np.ndarray, "columns 2"],
     matters: float,
     level: float,
 ) -> Score:
@@ -89,7 +102,7 @@ def score(
         projection: of the fitted columns.
         name: the candidate's.
         columns: of its strengths.
-        ends: [columns, 2] range of the strengths, in units of the columns.
+        ends: range of the strengths, in units of the columns.
         matters: chi-square by which an effect that matters changes the residual.
         level: significance at which it would be seen.
     """

@@ -1,5 +1,5 @@
 """Every candidate's score at the present fit: at zero strength, each at its best shape,
-and as it stands where zero does not foresee what it does.
+and at a given strength where its derivative at zero does not predict it.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from hydrojax.identify.tracing.score import Projection, Score, score
 from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengths
@@ -15,7 +16,7 @@ from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
 
 
-def size_that_matters(state: Tracing, noise: np.ndarray) -> float:
+def size_that_matters(state: Tracing, noise: Float[np.ndarray, "3"]) -> float:
     """Chi-square of an RMS error that grows by `matters` of one channel's noise.
 
     In the channels' present weights, and of the channel where it is least.
@@ -27,7 +28,7 @@ def size_that_matters(state: Tracing, noise: np.ndarray) -> float:
 
 
 def scores_of(
-    state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
+    state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
 ) -> dict[str, Score]:
     """Every candidate's score at the present fit, each at its best shape."""
     names = list(state.problem.model.names)
@@ -97,7 +98,7 @@ def _nonlocal_grid(
 
 def nonlocal_starts(effect: Effect) -> list[tuple[str, float]]:
     """Values of strengths at which an effect is tried as it stands: what it does there
-    is not foreseen by its derivative at zero.
+    is not predicted by its derivative at zero.
     """
     return [
         (f"{effect.name}.{field}", value)

@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
 
-from hydrojax.identify.estimation.fit import Point
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Score
@@ -17,12 +18,12 @@ from hydrojax.plant.effect import Effect
 
 @dataclass(frozen=True)
 class Added:
-    """An effect that was added, and what it did to the validation error, [3], SI."""
+    """An effect that was added, with the validation error by channel, RMS, SI."""
 
     name: str
     p_value: float
-    before: np.ndarray
-    after: np.ndarray
+    before: Float[np.ndarray, "3"]
+    after: Float[np.ndarray, "3"]
     cannot_tell_from: tuple[str, ...]
 
 
@@ -40,7 +41,7 @@ class Tracing:
     check: Problem
     effects: Mapping[str, Effect]
     free: tuple[str, ...]
-    point: Point
+    point: FitPoint
     progress: Callable[[str], None]
     added: tuple[Added, ...] = ()
     scores: Mapping[str, Score] = field(default_factory=dict)
@@ -52,8 +53,8 @@ class Tracing:
         return self.problem.criteria
 
     @property
-    def noise(self) -> np.ndarray:
-        """Each channel's noise, [3]."""
+    def noise(self) -> Float[np.ndarray, "3"]:
+        """Each channel's noise, SI; inf where it is not compared."""
         return np.asarray(self.problem.batch.noise)
 
     @property
@@ -75,8 +76,8 @@ def free_names(effect: Effect) -> list[str]:
 
 
 def placed(
-    problem: Problem, values: np.ndarray, given: Mapping[str, float]
-) -> np.ndarray:
+    problem: Problem, values: Float[np.ndarray, "n"], given: Mapping[str, float]
+) -> Float[np.ndarray, "n"]:
     """The values with some of them as given, inside their ranges."""
     values = values.copy()
     for name, value in given.items():

@@ -27,7 +27,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
 from hydrojax.parameters import put
-from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, Motion
+from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, PistonMotion
 from hydrojax.plant.rig import add
 from hydrojax.plant.valve import LAMINAR_CORE
 from hydrojax.rigfile.build import build_loop, effects_of
@@ -283,7 +283,7 @@ def test_the_encoder_matters(truths):
 def carry(load: Inertia, force: Callable, steps: int, h: float, v: float = 0.0):
     """The load's motion [steps] under `force(x, v, a)` of the cylinder."""
     still = EnvironmentMotion(jnp.zeros(3), jnp.asarray(0.0), jnp.asarray(0.0))
-    at, out = Motion(*map(jnp.asarray, (0.0, v, 0.0))), []
+    at, out = PistonMotion(*map(jnp.asarray, (0.0, v, 0.0))), []
     for _ in range(steps):
         x = load.move(at, still, h)
         at, F = load.advance(at, x, still, h, lambda v, a, x=x: force(x[2], v, a))
@@ -318,7 +318,7 @@ def test_driven_follows_the_road():
     environment = EnvironmentMotion(
         jnp.array([1.0, 1.5, 2.0]), jnp.asarray(3.0), jnp.asarray(4.0)
     )
-    at = Motion(*map(jnp.asarray, (0.0, 0.0, 0.0)))
+    at = PistonMotion(*map(jnp.asarray, (0.0, 0.0, 0.0)))
     x = Driven().move(at, environment, 1e-3)
     motion, F = Driven().advance(at, x, environment, 1e-3, lambda v, a: 10 * v + a)
     assert [float(m) for m in motion] == [2.0, 3.0, 4.0] and float(F) == 34.0
@@ -645,11 +645,11 @@ def test_41_the_epsilons_are_the_plants(falls):
 
 
 @pytest.mark.filterwarnings("ignore:a pressure left")
-def test_the_least_supply_is_the_least():
+def test_no_lower_supply_serves():
     """A little above it both pressures stay inside, a little below one leaves."""
     loop = make_bench_loop()
     scenario = make_scenario(desired(), MOTIONS["driven"], H, P_S, P_R)
-    least = theory.least_supply(loop, scenario)
+    least = theory.minimum_supply(loop, scenario)
     assert 1e6 < least < P_S
 
     def leaves(share):
@@ -668,10 +668,10 @@ def test_the_least_supply_is_the_least():
     assert leaves(0.95) > 0
 
 
-def test_the_least_supply_is_within_a_thousandth():
+def test_the_minimum_supply_is_within_a_thousandth():
     loop = make_bench_loop()
     scenario = make_scenario(desired(), MOTIONS["driven"], H, P_S, P_R)
-    least = theory.least_supply(loop, scenario)
+    least = theory.minimum_supply(loop, scenario)
     below = theory._stays(loop, scenario, jnp.asarray(least * np.full(12, 0.998)))
     assert not np.any(below)
 
@@ -685,7 +685,7 @@ def test_the_least_supply_is_within_a_thousandth():
         (P_R + 2e5, P_R + 3e5, math.inf),  # the return above it, for that sample
     ],
 )
-def test_the_least_supply_is_that_of_every_instant(
+def test_the_minimum_supply_is_that_of_every_instant(
     monkeypatch, chamber, low, back, want
 ):
     """Against pressures given by hand: 6 MPa but for a peak, and a dip elsewhere.
@@ -698,7 +698,7 @@ def test_the_least_supply_is_that_of_every_instant(
     scenario = scenario._replace(P_r=jnp.asarray(P_r))
     monkeypatch.setattr(theory, "run", lambda loop, scenario, keep: jnp.asarray(P))
     monkeypatch.setattr(theory, "_stays", inspect.unwrap(theory._stays))
-    least = theory.least_supply(make_bench_loop(), scenario)
+    least = theory.minimum_supply(make_bench_loop(), scenario)
     assert least == pytest.approx(want, rel=5e-3) and least >= want
 
 

@@ -13,7 +13,8 @@ import pytest
 
 from hydrojax.cli.scenario import read_inputs
 from hydrojax.control import simulation, waveforms
-from hydrojax.control.adaptive import Estimates, mean_area
+from hydrojax.control.adaptive import mean_area
+from hydrojax.control.estimates import Estimates
 from hydrojax.control.loop import Scenario
 from hydrojax.errors import InputError
 from hydrojax.identify import api as running
@@ -195,7 +196,7 @@ WRONG = {
     "k_cp = [2, 1]": r"k_cp: \[2.*, 1.*\] is upside down; exchange them",
     "k_p = [1, 2]": "k_p: invalid value .*: expected one value",
     "k_cp = [1, 2, 3]": "k_cp: invalid value .*: expected one value, or two bounds",
-    "k_f = -2.4": "k_f: -2.4 must be 0 or more; mend it",
+    "k_f = -2.4": "k_f: -2.4 must be 0 or more",
     "c_1 = -1": "c_1: -1.* must be 0 or more",
     "rate = 0": "rate: 0.* must be above 0",
     "u_max = 0": "u_max: 0.* must be above 0",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hydrojax.effects import EFFECTS, Array, SensorChannel, param
-from hydrojax.identify.estimation.columns import Model
+from hydrojax.identify.estimation.columns import ParametricRig
 from hydrojax.identify.estimation.fit import fit_pressures
 from hydrojax.identify.estimation.problem import in_play
 from hydrojax.identify.tracing.criteria import Criteria
@@ -38,7 +38,7 @@ class Fitted:
     """A problem that records with which parameters it was fitted."""
 
     def __init__(self, rig: Rig, free: tuple[str, ...]):
-        self.model, self.free, self.asked = Model.of(rig), free, []
+        self.model, self.free, self.asked = ParametricRig.of(rig), free, []
         self.criteria = Criteria()
         self.batch = SimpleNamespace(noise=np.array([1e3, 1e3, np.inf]))
 

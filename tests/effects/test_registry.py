@@ -185,7 +185,7 @@ def test_the_example_of_what_is_refused_would_do(vocabulary, tmp_path):
         (
             '    name = "mine"',
             '    name = "mine"\n    needs = ("speed",)',
-            "needs = ('speed',) will not do",
+            "invalid needs ('speed',)",
         ),
         ('    residual_axis = "v"\n', "", "add residual_axis"),
         ("def force", "def power", "needs a method force(...)"),
@@ -195,7 +195,7 @@ def test_the_example_of_what_is_refused_would_do(vocabulary, tmp_path):
         ("c: Array = ", "c = ", "has no type annotation"),
         ('0.0, 0.0, 1e6, "', '5.0, 0.0, 1e6, "', "a strength must be 0"),
         ('0.0, 0.0, 1e6, "', '0.0, 1.0, 1e6, "', "c: 0 is outside its range"),
-        ('0.0, 0.0, 1e6, "', '0.0, 0.0, 0.0, "', "range 0 to 0 will not do"),
+        ('0.0, 0.0, 1e6, "', '0.0, 0.0, 0.0, "', "range 0 to 0 is invalid"),
         ("size=1e3", "prior=-1.0", "standard deviation, above 0"),
         ("self.c * at.v", "self.c**2 * at.v", "no trace would find it"),
         ("self.c * at.v", "at.v", "is not 0 when c = 0"),

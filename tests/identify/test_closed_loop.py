@@ -33,7 +33,9 @@ def log(spec, tmp_path_factory):
     loop = build_loop(spec, rig)
     scenario = rig_scenario(spec, loop, seconds=5.0, seed=2)
     path = tmp_path_factory.mktemp("loop") / "log.csv"
-    recording.write_log(path, recording.columns(simulate_loop(loop, scenario), spec))
+    recording.write_log(
+        path, recording.log_columns(simulate_loop(loop, scenario), spec)
+    )
     return Log.load(path, spec.channels)
 
 

@@ -12,13 +12,19 @@ from hydrojax.control.simulation import simulate_loop
 from hydrojax.errors import InputError
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
-from hydrojax.identify.design import FORCE_HZ, MOTION_HZ, Limits, ask, design, waves
+from hydrojax.identify.design import design, design_problem
+from hydrojax.identify.experiment import (
+    FORCE_HZ,
+    MOTION_HZ,
+    ExcitationLimits,
+    waves,
+)
 from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import build_loop, build_rig
 from hydrojax.rigfile.scenarios import rig_scenario
 from hydrojax.rigfile.schema import RigFile
 
-LIMITS = Limits(force=600.0, speed=0.02, travel=0.015, seconds=3.0)
+LIMITS = ExcitationLimits(force=600.0, speed=0.02, travel=0.015, seconds=3.0)
 FREE = {"beta": ("Pa", 8.5e8), "k_cp": ("N", 1250.0), "z_ss": ("m", 60e-6)}
 COUNT = len(FORCE_HZ) + len(MOTION_HZ)
 
@@ -38,8 +44,8 @@ def rig_file(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def asked(rig_file):
-    return ask(RigFile.load(rig_file), LIMITS)
+def problem(rig_file):
+    return design_problem(RigFile.load(rig_file), LIMITS)
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +68,10 @@ def test_any_amplitudes_keep_the_limits(seed):
     assert reached == pytest.approx(1.0)
 
 
-def test_the_gradient_is_that_of_differences(asked):
-    cost = jax.jit(asked.cost)
+def test_the_gradient_is_that_of_differences(problem):
+    cost = jax.jit(problem.cost)
     at = jnp.asarray(np.random.default_rng(2).normal(size=COUNT) * 0.3)
-    slope = jax.jit(lambda at, d: jax.jvp(asked.cost, (at,), (d,))[1])
+    slope = jax.jit(lambda at, d: jax.jvp(problem.cost, (at,), (d,))[1])
     for k in (0, 4, len(FORCE_HZ) + 2):
         d = jnp.zeros(COUNT).at[k].set(1.0)
         step = 1e-4
@@ -73,7 +79,7 @@ def test_the_gradient_is_that_of_differences(asked):
         assert float(slope(at, d)) == pytest.approx(float(by_difference), rel=2e-3)
 
 
-def test_the_design_tells_more(found):
+def test_the_design_identifies_better(found):
     assert set(found.before) == set(FREE)
     gain = np.array([found.before[n] / found.after[n] for n in FREE])
     assert np.exp(np.mean(np.log(gain))) > 1.3
@@ -84,7 +90,7 @@ def test_the_design_tells_more(found):
 def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
     """The design run in closed loop, logged and identified: the same spreads."""
     spec = RigFile.load(rig_file)
-    scenario = tmp_path / "course.csv"
+    scenario = tmp_path / "scenario.csv"
     recording.write_log(
         scenario, recording.scenario_columns(found.t, found.F_d, found.x, spec)
     )
@@ -92,7 +98,7 @@ def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
     loop = build_loop(spec, rig)
     again = rig_scenario(spec, loop, str(scenario), str(scenario), 60.0, seed=3)
     log = tmp_path / "log.csv"
-    recording.write_log(log, recording.columns(simulate_loop(loop, again), spec))
+    recording.write_log(log, recording.log_columns(simulate_loop(loop, again), spec))
     away = tmp_path / "away.toml"
     text = rig_file.read_text()
     for unit, value in FREE.values():
@@ -113,12 +119,12 @@ def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
         assert abs(value - FREE[name][1]) < 5 * std
 
 
-def test_two_effects_are_asked_for_together(rig_file):
-    """Each strength is harder to tell beside the other effect than without it."""
+def test_two_effects_are_designed_for_together(rig_file):
+    """Each strength is harder to identify beside the other effect than without it."""
     spec = RigFile.load(rig_file)
-    both = ask(spec, LIMITS, ("internal_leakage", "external_leakage"))
-    alone = ask(spec, LIMITS, ("internal_leakage",))
-    assert both.q.wanted == ("internal_leakage.c_il", "external_leakage.c_el")
+    both = design_problem(spec, LIMITS, ("internal_leakage", "external_leakage"))
+    alone = design_problem(spec, LIMITS, ("internal_leakage",))
+    assert both.setup.wanted == ("internal_leakage.c_il", "external_leakage.c_el")
     start = jnp.zeros(COUNT)
     beside, own = both.spreads(start)[0], alone.spreads(start)[0]
     assert float(beside) >= float(own) > 0
@@ -141,11 +147,11 @@ def test_what_cannot_be_designed(rig_file):
         (("--separate", "stribeck", "stribek"), "stribek"),
         (("--force", "8"), 'write "8 N"'),
         (("--speed", "-1 mm/s"), "above 0"),
-        (("--out", "course.txt"), "not a kind of log"),
+        (("--out", "scenario.txt"), "not a kind of log"),
     ],
 )
 def test_the_command_refuses_in_one_line(call, rig_file, tmp_path, words, said):
-    out = () if "--out" in words else ("--out", tmp_path / "course.csv")
+    out = () if "--out" in words else ("--out", tmp_path / "scenario.csv")
     got = call("excite", rig_file, *words, *out)
     assert got.code == 2 and said in got.err and got.err.count("\n") == 1
     assert not list(tmp_path.iterdir())

@@ -23,12 +23,12 @@ from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation import starts
 from hydrojax.identify.estimation.columns import basis
-from hydrojax.identify.estimation.fit import fit
+from hydrojax.identify.estimation.fit import fit_all
 from hydrojax.identify.estimation.problem import Free, Problem, free_parameters
 from hydrojax.identify.estimation.solve import minimise
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
 from hydrojax.identify.preparation import segments, windows
-from hydrojax.identify.preparation.data import prepare, runs_backward
+from hydrojax.identify.preparation.data import prepare_logs, runs_backward
 from hydrojax.identify.preparation.noise import estimate_noise, motion_band, smooth
 from hydrojax.identify.results import summary
 from hydrojax.identify.results.outcome import Outcome
@@ -178,7 +178,7 @@ def test_a_range_without_the_truth_holds_the_estimate_at_its_end(recorded, tmp_p
         assert found.std is None and found.interval is None
         assert not found.identified
         said = [line for line in outcome.limits if line.startswith(f"{name} ")]
-        assert len(said) == 1 and f"{side} end of its range" in said[0]
+        assert len(said) == 1 and f"{side} limit of its range" in said[0]
     for name, spec in opened(case, rig).spec.parameters.items():
         value = outcome.parameters[name].value
         value = 1 / value if name == "delta" and value > 1 else value
@@ -421,8 +421,8 @@ def coverage(tmp_path, monkeypatch) -> Callable[..., dict[str, float]]:
                 n: clean[n] + s * rng.normal(size=rows) for n, s in sizes.items()
             }
             log = Log("x", clean["time"], signals, {}, (), 0, ((0, rows),), ())
-            problem = Problem.of(model, wanted, prepare((log,), spec))
-            problem, point = fit(problem, problem.initial_values(), tuple(wanted))
+            problem = Problem.of(model, wanted, prepare_logs((log,), spec))
+            problem, point = fit_all(problem, problem.initial_values(), tuple(wanted))
             std = estimate_uncertainty(problem, point, tuple(wanted)).std
             names = problem.model.names
             found = {n: point.values[names.index(n)] for n in wanted}
@@ -521,7 +521,7 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
         both = [row for first in holes for row in (first, first + 1)]
         log.loc[both, "P_a1 [Pa]"] = np.nan
     log.to_csv(tmp_path / "log.csv", index=False)
-    data = prepare((Log.load(tmp_path / "log.csv"),), bench)
+    data = prepare_logs((Log.load(tmp_path / "log.csv"),), bench)
     w = data.windows
     rows_of = np.asarray(w.u) * 1e3
     np.testing.assert_allclose(np.diff(rows_of, axis=1), 1.0, atol=1e-6)
@@ -553,10 +553,10 @@ def test_runs_of_a_long_log_are_what_the_whole_gives(recorded, monkeypatch):
     case = recorded(1, None, 30.0)
     spec = RigFile.load(case / "rig.toml")
     log = Log.load(case / "fit_1.csv", spec.channels)
-    whole = prepare((log,), spec)
+    whole = prepare_logs((log,), spec)
     ticks = whole.windows.u.shape[1]
     monkeypatch.setattr(windows, "RUN", 8)
-    some = prepare((log,), spec, criteria=Criteria(most_ticks=40 * ticks))
+    some = prepare_logs((log,), spec, criteria=Criteria(most_ticks=40 * ticks))
     count, every = len(some.P_0), len(whole.P_0)
     assert 32 <= count <= 40 < 100 < every
     assert f"{count} windows of {every}" in some.notes[-1]
@@ -644,7 +644,7 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
             rig.read_text() + '[channels]\npsi = { column = "psi", invert = true }\n'
         )
     spec = RigFile.load(rig)
-    data = prepare([Log.load(p, spec.channels) for p in logs], spec)
+    data = prepare_logs([Log.load(p, spec.channels) for p in logs], spec)
     assert data.driven_by == "pressures"
     assert runs_backward(data) == (sign < 0)
     case = open_case(rig, logs, [check])
@@ -687,7 +687,7 @@ def test_a_segment_that_begins_late_had_stood_still():
 def test_motion_under_a_command_is_never_turned(recorded):
     case = recorded(SEED)
     spec = RigFile.load(case / "rig.toml")
-    data = prepare([Log.load(case / "fit_1.csv")], spec, sign=-1.0)
+    data = prepare_logs([Log.load(case / "fit_1.csv")], spec, sign=-1.0)
     assert data.driven_by == "u"
     assert not runs_backward(data)
 

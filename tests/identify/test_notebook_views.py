@@ -62,7 +62,7 @@ def bare(text: str) -> None:
 @pytest.mark.parametrize("name", OUTCOMES)
 def test_an_outcome_shows_its_verdict_in_a_notebook(name):
     outcome = OUTCOMES[name]()
-    text = show.html(outcome)
+    text = show.result_html(outcome)
     bare(text)
     assert f"{outcome.verdict}." in Page(text).said
     assert outcome.sentence in Page(text).said
@@ -70,7 +70,7 @@ def test_an_outcome_shows_its_verdict_in_a_notebook(name):
 
 
 def test_an_outcome_shows_effects_channels_and_parameters():
-    effects, channels, found = Tables(show.html(explained())).tables
+    effects, channels, found = Tables(show.result_html(explained())).tables
     assert effects[1:] == [
         ["internal leakage", "c_il", "(1.030 ± 0.014) × 10⁻¹² m³/(s·Pa)",
          "< 10⁻³⁰⁰", ""],
@@ -106,17 +106,17 @@ def test_a_picture_that_is_not_there_is_refused_in_one_line(picture, says):
 
 def test_an_outcome_with_nothing_shows_its_sentence():
     empty = Outcome("identify", "rig", (), (), "nothing missing", "Nothing.", {}, {})
-    assert Tables(show.html(empty)).tables == []
+    assert Tables(show.result_html(empty)).tables == []
     with pytest.raises(InputError, match="nothing to show"):
         show.plot(empty)
 
 
 def test_text_of_a_log_does_not_become_markup():
     outcome = replace(explained(), rig="<b>rig</b> & co", sentence="a < b")
-    text = show.html(outcome)
+    text = show.result_html(outcome)
     assert "&lt;b&gt;rig&lt;/b&gt; &amp; co" in text and "a &lt; b" in text
     cells = replace(outcome, channels={"<i>": explained().channels["F"]})
-    assert "<i>" not in show.html(cells)
+    assert "<i>" not in show.result_html(cells)
 
 
 # -- the gains --

@@ -14,10 +14,10 @@ import pytest
 from hydrojax.identify.report import explorer, figures, residuals, write
 from hydrojax.identify.results.outcome import (
     Candidate,
-    Channel,
+    ChannelErrors,
     Covariance,
-    Effect,
     Errors,
+    FoundEffect,
     LoopCheck,
     Outcome,
     Parameter,
@@ -91,17 +91,17 @@ def candidates(added: tuple[str, ...]) -> tuple[Candidate, ...]:
     return (*first, *rest)
 
 
-def channels(**ratios: tuple[float, float]) -> dict[str, Channel]:
+def channels(**ratios: tuple[float, float]) -> dict[str, ChannelErrors]:
     """Channels with errors in multiples of the noise."""
     return {
-        c: Channel(UNITS[c], NOISE[c], before * NOISE[c], after * NOISE[c])
+        c: ChannelErrors(UNITS[c], NOISE[c], before * NOISE[c], after * NOISE[c])
         for c, (before, after) in ratios.items()
     }
 
 
 def explained() -> Outcome:
     """A leakage and a friction were found and all channels are at their noise."""
-    leak = Effect(
+    leak = FoundEffect(
         "internal_leakage",
         {"c_il": parameter(1.03e-12, "m^3/(s*Pa)", 1.4e-14, description="leakage")},
         0.0,
@@ -110,7 +110,7 @@ def explained() -> Outcome:
         (),
         "P_a1 - P_a2",
     )
-    friction = Effect(
+    friction = FoundEffect(
         "position_friction",
         {"a_1": parameter(0.21, "1", 0.004, description="1st wave")},
         3.2e-41,
@@ -320,12 +320,13 @@ def test_json_has_null_for_what_is_no_number(written):
 
 
 def test_json_takes_numpy_numbers():
-    odd = Channel("N", np.float64(2.5), np.float32(3.0), np.array(2.6))  # pyright: ignore
+    odd = ChannelErrors("N", np.float64(2.5), np.float32(3.0), np.array(2.6))  # pyright: ignore
     outcome = replace(
         nothing_missing(), channels={"F": odd}, seconds={"run": np.int64(3)}
     )
     assert (
-        json.loads(json.dumps(write.json_of(outcome)))["channels"]["F"]["before"] == 3
+        json.loads(json.dumps(write.report_json(outcome)))["channels"]["F"]["before"]
+        == 3
     )
 
 
@@ -346,7 +347,7 @@ def test_page_says_what_the_outcome_says(written):
     for words in (
         "857.6 ± 1.2 MPa",
         "(1.030 ± 0.014) × 10⁻¹² m³/(s·Pa)",
-        "cannot tell it from gravity load or stribeck",
+        "do not distinguish it from gravity load or stribeck",
         "No other candidate accounts for the residual as well",
         "at the end of its range",
         "not identified",
@@ -431,7 +432,7 @@ def test_figures_leave_the_callers_style_alone():
 
 def test_a_bare_outcome_has_no_figures_and_a_page(tmp_path):
     bare = Outcome("identify", "rig", (), (), "nothing missing", "Nothing.", {}, {})
-    assert write.pictures(bare) == []
+    assert write.report_pictures(bare) == []
     write.write_report(bare, tmp_path / "out")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "report.html",
@@ -533,7 +534,7 @@ def test_bins_follow_a_line():
     ],
 )
 def test_quantities_read_as_an_engineer_writes_them(value, unit, std, wanted):
-    assert write.quantity(value, unit, std) == wanted
+    assert write.quantity_text(value, unit, std) == wanted
 
 
 @pytest.mark.parametrize(

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 
+import hydrojax
 from hydrojax.api import fit
 from hydrojax.errors import InputError
-from hydrojax.identify.case import open_case
+from hydrojax.identify.case import open_case, read
 from hydrojax.identify.result import Result
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
+from hydrojax.logs.signals import Channel
 from hydrojax.parameters import get
 from hydrojax.rigfile.schema import RigFile
+
+DEMO = Path(hydrojax.__file__).parent / "demo"
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +102,20 @@ def test_criteria_decide(folder):
     result = fit(folder / "rig.toml", *logs, starts=1, criteria=strict)
     assert result.verdict == "unknown"
     assert len(result.outcome.unexplained) == len(result.channels)
+
+
+def test_a_log_read_without_the_rigs_channels_is_refused(tmp_path):
+    """Its psi would run the wrong way round, and nothing would say so."""
+    channels = {"psi": Channel(column="psi", invert=True), "F": Channel(column="F")}
+    rig = RigFile.load(DEMO / "rig.toml")
+    turned = replace(rig, channels=channels)
+    log = Log.load(DEMO / "fit_1.csv.gz")
+    with pytest.raises(InputError, match=r"without \[channels\] psi of"):
+        read(log, turned)
+    again = read(DEMO / "fit_1.csv.gz", turned)
+    assert read(again, turned) is again
+    np.testing.assert_array_equal(again.signals["psi"], -log.signals["psi"])
+    assert read(log, rig) is log
+    assert read(again, rig) is again  # channels of the caller's own
+    arrays = replace(log, channels=None)
+    assert read(arrays, turned) is arrays

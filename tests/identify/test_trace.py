@@ -15,7 +15,7 @@ from scipy import stats
 
 from hydrojax.identify.api import trace_case
 from hydrojax.identify.case import open_case
-from hydrojax.identify.report.write import json_of, write_report
+from hydrojax.identify.report.write import report_json, write_report
 from hydrojax.identify.results.describe import dependence, spectral_line, unexplained
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.identify.tracing.score import Projection, Score, family, score
@@ -187,7 +187,7 @@ def test_the_report_says_the_same(traced, tmp_path):
     outcome = traced("internal_leakage")
     write_report(outcome, tmp_path / "out")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report == json.loads(json.dumps(json_of(outcome)))
+    assert report == json.loads(json.dumps(report_json(outcome)))
     assert report["command"] == "trace"
     assert report["verdict"] == outcome.verdict
     for name, channel in outcome.channels.items():

@@ -17,7 +17,7 @@ import pytest
 
 import hydrojax
 from hydrojax.errors import InputError
-from hydrojax.identify.preparation.data import prepare
+from hydrojax.identify.preparation.data import prepare_logs
 from hydrojax.logs.log import Log
 from hydrojax.logs.signals import Channel
 from hydrojax.rigfile.schema import RigFile
@@ -227,7 +227,7 @@ def test_a_copy_gives_the_same_windows(tmp_path):
     spec = RigFile.load(DEMO / "rig.toml")
     path = write_json(tmp_path / "fit_1.mcap", demo_topics())
     given = [Log.load(DEMO / "fit_1.csv.gz"), Log.load(path, CHANNELS)]
-    plain, mine = (prepare([log], spec) for log in given)
+    plain, mine = (prepare_logs([log], spec) for log in given)
     for part in ("windows", "motion"):
         one, other = getattr(plain, part), getattr(mine, part)
         for name in one._fields:

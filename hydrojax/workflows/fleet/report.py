@@ -15,7 +15,7 @@ from hydrojax import units
 from hydrojax.identify.report.figures import png
 from hydrojax.report.files import write_all
 from hydrojax.report.page import Picture, page
-from hydrojax.report.text import p_text, quantity, words
+from hydrojax.report.text import p_text, quantity_text, words
 from hydrojax.rigfile import controller
 from hydrojax.rigfile.edit import text
 from hydrojax.workflows.fleet import friction, pictures, summary
@@ -152,7 +152,7 @@ def fleet_page(seen: Seen, shown: Sequence[Picture], title: str) -> str:
     lines = controller_lines(seen.bounds) if seen.bounds else []
     return page(
         Path(__file__).parent / "fleet.html",
-        (quantity, p_text, words),
+        (quantity_text, p_text, words),
         s=seen,
         pictures=shown,
         title=title,
