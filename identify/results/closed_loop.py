@@ -53,8 +53,7 @@ def check_loop(
         criteria: how much of the log is run, and what of it is not compared.
 
     Returns:
-        None where there is no closed loop to compare: no u, F or F_d, or a valve that
-        the law cannot invert.
+        None where there is no u, F or F_d, or a valve that the law cannot invert.
     """
     if not {"u", "F", "F_d"} <= set(log.signals) or not spec.layout.has_valve:
         return None

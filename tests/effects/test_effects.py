@@ -15,9 +15,9 @@ from hydrojax.identify.estimation.columns import (
     NUISANCE,
     SUPPLY_BLOCKS,
     Batch,
-    Model,
+    ParametricRig,
     basis,
-    driven,
+    driven_pressures,
     recall,
     sensitivities,
 )
@@ -565,7 +565,7 @@ def batch(log):
 
 def moved(model, values, directions, b, simulate):
     """Predictions and columns, as a fit makes them."""
-    pressure = driven(model, values, directions, b, simulate)
+    pressure = driven_pressures(model, values, directions, b, simulate)
     memory = recall(model, values, b.motion)
     return sensitivities(model, values, directions, b.windows, pressure, memory)
 
@@ -573,7 +573,7 @@ def moved(model, values, directions, b, simulate):
 @pytest.fixture(scope="module")
 def columns(full, batch):
     """Predictions, and their derivative to every parameter and nuisance."""
-    model = Model.of(full)
+    model = ParametricRig.of(full)
     slots = (model.hydraulic, len(model.names) - model.hydraulic)
     directions = basis(model, model.names, slots)
     run = jax.jit(lambda values, b: moved(model, values, directions, b, True))
@@ -649,7 +649,7 @@ def test_supply_errors_have_their_derivative(full, batch, columns):
 
 
 def test_driven_by_logged_pressures_only_friction_has_derivatives(full, batch):
-    model = Model.of(full)
+    model = ParametricRig.of(full)
     slots = (model.hydraulic, len(model.names) - model.hydraulic)
     directions = basis(model, model.names, slots)
     run = jax.jit(lambda values, b: moved(model, values, directions, b, False))
