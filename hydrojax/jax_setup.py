@@ -137,6 +137,15 @@ def ensure_jax() -> None:
             "call hydrojax.set_up_jax(), or write "
             'jax.config.update("jax_enable_x64", True), before anything else uses JAX'
         )
+    set_up_unless_running()
+
+
+def set_up_unless_running() -> None:
+    """Set JAX up as `ensure_jax` does; where it is running or set up, do nothing."""
+    import jax
+
+    if jax.config.read("jax_enable_x64") or _running():
+        return
     cache = user_cache()
     set_up_jax(cache)
     print(

@@ -89,6 +89,23 @@ def test_importing_loads_nothing_heavy(tmp_path):
     assert json.loads(python(code, tmp_path)) == []
 
 
+def test_an_effect_made_first_is_of_double_precision(tmp_path):
+    """Before any function of the front door has run."""
+    code = """
+    import hydrojax as hj
+
+    class Drag(hj.effects.FrictionForce):
+        name, residual_axis = "drag", "v"
+        c: hj.effects.Array = hj.param("N*s/m", 0.1, 0.0, 1.0, "drag", strength=True)
+
+        def force(self, at):
+            return self.c * at.v
+
+    print(Drag().c.dtype)
+    """
+    assert python(code, tmp_path).strip() == "float64"
+
+
 def test_every_name_is_there(tmp_path):
     missing = [name for name in hj.__all__ if getattr(hj, name, None) is None]
     assert not missing

@@ -23,6 +23,7 @@ from hydrojax.parameters import get, put
 from hydrojax.plant.load import Inertia
 from hydrojax.plant.replay import friction_memory, pressures, readings
 from hydrojax.plant.rig import add
+from hydrojax.plant.valve import metering_edges
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.schema import RigFile
 
@@ -105,10 +106,10 @@ def many(loop, scenario) -> Case:
     """Instances with gains, rates, bounds and a plant of their own."""
 
     def reach(loop: Loop) -> list[Any]:
-        law, rig = loop.law, loop.rig
+        law, rig, valve = loop.law, loop.rig, metering_edges(loop.rig.valve)
         return [
             law.k_p, law.k_f, *law.rate[1:], law.upper.k_cp, law.lower.k_fn,
-            rig.chambers.beta, rig.valve.c_n2, rig.mechanics.k_cn, rig.mechanics.z_ss,
+            rig.chambers.beta, valve.c_n2, rig.mechanics.k_cn, rig.mechanics.z_ss,
             law.nominal.chambers.delta_1, law.nominal.mechanics.z_ss,
         ]  # fmt: skip
 

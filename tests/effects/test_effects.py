@@ -1,6 +1,7 @@
 """One test over all effects: absent at zero, alive there, declared in full."""
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from hydrojax.effects import EFFECTS
+from hydrojax.effects import EFFECTS as KNOWN
 from hydrojax.identify.estimation.columns import (
     NUISANCE,
     SUPPLY_BLOCKS,
@@ -29,6 +30,9 @@ from hydrojax.plant.replay import friction_memory, pressures, readings
 from hydrojax.plant.rig import add
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import act, start
+
+EFFECTS: dict[str, Any] = KNOWN
+"""Each class with the method of its own place."""
 
 SHAPES = {
     "gravity_load": {"radius": 0.085},
