@@ -16,7 +16,7 @@ except PackageNotFoundError:  # a checkout that was never installed
 _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 _OF_ARRAYS = frozenset(
-    [
+    (
         "AbstractController",
         "AbstractValve",
         "PIController",
@@ -24,7 +24,7 @@ _OF_ARRAYS = frozenset(
         "effect",
         "effects",
         "param",
-    ]
+    )
 )
 """Names whose objects hold arrays as soon as they are made."""
 
