@@ -22,7 +22,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Complex, Float
 
 from hydrojax.control.base import AbstractController, Measured
-from hydrojax.control.loop import step
+from hydrojax.control.loop import step_loop
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import operating_point
 
@@ -119,7 +119,7 @@ def _jacobian(
             lambda lo: lo.law, loop, Tapped(loop.law, i[1], loop.law.u_max)
         )
         state = unravel(flat.at[index].add(off[group]))
-        new, now = step(tapped, state, operating_point.at(one, 0))
+        new, now = step_loop(tapped, state, operating_point.at(one, 0))
         return ravel_pytree(new)[0][lead], jnp.stack([now["true_F"], now["u"]])
 
     i = jnp.zeros(len(INPUTS)).at[0].set(nudge)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from hydrojax.control.loop import step
+from hydrojax.control.loop import step_loop
 from hydrojax.control.waveforms import band_noise
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import metrics, operating_point
@@ -132,7 +132,7 @@ def run_excited(
         one = operating_point.scenario(
             setting, F_d[i][None], noise[i][None], t[i][None]
         )
-        carry, now = step(loop, carry, operating_point.at(one, 0))
+        carry, now = step_loop(loop, carry, operating_point.at(one, 0))
         return carry, jnp.stack([now[name] for name in KEEP])
 
     noise = jnp.asarray(given.noise)

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float, Int
 from hydrojax.control.adaptive import Law, truth
 from hydrojax.control.base import clamp
 from hydrojax.control.estimates import Estimates
-from hydrojax.control.loop import Loop, Scenario, begin, step
+from hydrojax.control.loop import Loop, Scenario, start_loop, step_loop
 from hydrojax.control.simulation import PARTS
 from hydrojax.plant.load import Driven, EnvironmentMotion
 from hydrojax.rigfile.quantities import Setting
@@ -111,7 +111,7 @@ def still(settings: Setting) -> bool:
     def drift(s: Setting) -> Array:
         carry = initial_state(s)
         one = scenario(s, s.F_0[None], jnp.zeros((1, 4)), jnp.zeros(1))
-        after = step(_slow(s.loop), carry, at(one, 0))[0]
+        after = step_loop(_slow(s.loop), carry, at(one, 0))[0]
         off = [b - a for a, b in zip(carry.plant.P, after.plant.P, strict=True)]
         return jnp.max(jnp.abs(jnp.stack(off)))
 
@@ -147,7 +147,7 @@ def initial_state(setting: Setting, adapted: bool = True, settle: int = 0) -> An
     n = max(settle, 1)
     t = (jnp.arange(n) - settle) * setting.loop.h
     given = scenario(setting, jnp.broadcast_to(setting.F_0, (n,)), jnp.zeros((n, 4)), t)
-    carry = begin(_slow(setting.loop), given)
+    carry = start_loop(_slow(setting.loop), given)
     # The environment may be moving from the first sample on.
     plant = carry.plant._replace(
         speed=carry.plant.speed + jnp.abs(setting.v),
@@ -181,7 +181,7 @@ def _settled(setting: Setting, carry: Any, given: Scenario) -> Any:
 
     def body(state, tick):
         c, off = state
-        c = step(loop, c, tick._replace(F_d=tick.F_d + off))[0]
+        c = step_loop(loop, c, tick._replace(F_d=tick.F_d + off))[0]
         return (c, off + loop.h * LEVEL * (setting.F_0 - c.F)), None
 
     return jax.lax.scan(body, (carry, jnp.zeros_like(setting.F_0)), given)[0][0]

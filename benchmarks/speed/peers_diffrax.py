@@ -15,7 +15,7 @@ import numpy as np
 
 from hydrojax.control.base import Measured
 from hydrojax.control.loop import Loop, Scenario
-from hydrojax.control.loop import begin as at_rest
+from hydrojax.control.loop import start_loop as at_rest
 from hydrojax.control.simulation import PARTS
 from hydrojax.effects.valve import ValveLag
 from hydrojax.plant.chambers import Point

@@ -110,7 +110,7 @@ def _inputs(loop: Loop, row: Scenario, u: Float[Array, ""]) -> StepInput:
     )
 
 
-def begin(loop: Loop, scenario: Scenario) -> _Carry:
+def start_loop(loop: Loop, scenario: Scenario) -> _Carry:
     """At rest at the first sample, with the desired force on the output."""
     zero, F = jnp.zeros_like(loop.h), scenario.F_d[0]
     friction = loop.rig.mechanics
@@ -128,14 +128,14 @@ def begin(loop: Loop, scenario: Scenario) -> _Carry:
     return _Carry(plant, law, gauges, read["F"], read["true_F"])
 
 
-def step(
+def step_loop(
     loop: Loop, carry: _Carry, row: Scenario
 ) -> tuple[_Carry, dict[str, Float[Array, ""]]]:
     """One sample: sense, decide, act until the next.
 
     Args:
         loop: what is run.
-        carry: as `begin` or the sample before left it.
+        carry: as `start_loop` or the sample before left it.
         row: one row of a scenario.
 
     Returns:
@@ -164,11 +164,11 @@ def step(
 
 
 def signal_names(loop: Loop, scenario: Scenario) -> tuple[str, ...]:
-    """What a run can give at each sample: see `step`."""
+    """What a run can give at each sample: see `step_loop`."""
 
     def one(loop: Loop, scenario: Scenario) -> dict[str, Float[Array, ""]]:
         tick = jax.tree.map(lambda a: a[0], scenario)
-        return step(loop, begin(loop, scenario), tick)[1]
+        return step_loop(loop, start_loop(loop, scenario), tick)[1]
 
     return tuple(eqx.filter_eval_shape(one, loop, scenario))
 
@@ -183,7 +183,7 @@ def run(
     """
 
     def body(carry, tick):
-        carry, now = step(loop, carry, tick)
+        carry, now = step_loop(loop, carry, tick)
         return carry, jnp.stack([now[name] for name in keep])
 
-    return jax.lax.scan(body, begin(loop, scenario), scenario)[1]
+    return jax.lax.scan(body, start_loop(loop, scenario), scenario)[1]
