@@ -122,7 +122,7 @@ def paths(tree: eqx.Module) -> dict[str, Path]:
     return {name: path for name, path, _ in _walk(tree, (), "")}
 
 
-def _reach(tree: Any, path: Path) -> Array:
+def _reach(tree: Any, path: Path) -> Any:  # an array, or what stands for one in tree_at
     for key in path:
         tree = getattr(tree, key) if isinstance(key, str) else tree[key]
     return tree

@@ -74,7 +74,7 @@ class System(NamedTuple):
     h: Float[Array, "*batch"]
 
 
-def _sides(setting: Setting, carry: Any) -> list[tuple[Any, Array]]:
+def _sides(setting: Setting, carry: Any) -> list[tuple[Any, float]]:
     """The state on both sides of rest's corners, and what F_d is nudged by, N."""
     out = []
     for sign in (1.0, -1.0):

@@ -38,7 +38,7 @@ class PressureFriction(LevelEffect):
         return base * self.a * (at.P_a1 + at.P_a2) / (2 * at.P_s)
 
 
-def _wave(description: str) -> Float[Array, "*batch"]:
+def _wave(description: str) -> Any:
     return param("1", 0.0, -1.5, 1.5, description, strength=True, size=0.05, prior=0.5)
 
 
