@@ -1,8 +1,8 @@
 """Shapes of arrays in signatures, checked while a closed loop runs.
 
-jaxtyping's import hook checks every annotated call of the named rooms, and every field of
-their classes, against values of the product's own making (most tests pass NumPy numbers
-where JAX arrays are declared, so that the hook cannot be on for them).
+jaxtyping's import hook checks every annotated call of the named rooms, and every field
+of their classes, against values of the product's own making (most tests pass NumPy
+numbers where JAX arrays are declared, so that the hook cannot be on for them).
 """
 
 import subprocess
@@ -41,14 +41,14 @@ def test_a_closed_loop_keeps_the_shapes_of_its_signatures():
     import hydrojax as hj
 
     run = hj.simulate(
-        hj.paper.reference_rig(), seconds=0.2, reference=hj.sine("100 N", "5 Hz"),
+        hj.paper.reference_rig(), seconds=0.6, reference=hj.sine("100 N", "5 Hz"),
         motion=hj.to_and_fro("10 mm/s", "1 s"),
     )
     print(len(run.to_log().time))
     """
     done = checked(code, *ROOMS)
     assert done.returncode == 0, done.stderr[-2000:]
-    assert done.stdout.strip() == "200"
+    assert done.stdout.strip() == "600"
 
 
 def test_the_hook_sees_a_wrong_shape():
