@@ -255,7 +255,7 @@ def test_an_unreadable_result_is_done_again(tmp_path):
     table, out = fleet(tmp_path, good(3)), tmp_path / "out"
     pretended(table, out)
     before = digest(out)
-    next(iter(sorted(out.glob("jobs/*/*.json")))).write_text("")
+    next(iter(sorted(out.glob("jobs/[!.]*/*.json")))).write_text("")
     (out / "fleet.parquet").unlink()
     assert pretended(table, out) == Ran(3, 1, 0, True)
     assert digest(out) == before
@@ -283,7 +283,7 @@ def process(table: Path, out: Path, *more: str) -> subprocess.Popen[str]:
 def wait_for(out: Path, count: int) -> None:
     """Until so many results are there."""
     until = time.monotonic() + 60
-    while len(list(out.glob("jobs/*/*.json"))) < count:
+    while len(list(out.glob("jobs/[!.]*/*.json"))) < count:
         assert time.monotonic() < until, "no results came"
         time.sleep(0.02)
 
@@ -309,7 +309,7 @@ def test_killed_at_any_moment_it_goes_on_and_gives_the_same_bytes(tmp_path):
         going.kill()
         going.communicate()
         assert not psutil.wait_procs(workers, timeout=10)[1]  # they heard of it
-        seen = {p: p.stat().st_mtime_ns for p in out.glob("jobs/*/*.json")}
+        seen = {p: p.stat().st_mtime_ns for p in out.glob("jobs/[!.]*/*.json")}
         assert all(seen[p] == at for p, at in kept.items())
         kept = seen
     going = process(table, out)
@@ -328,7 +328,7 @@ def test_ctrl_c_keeps_what_is_done_and_leaves_no_worker(tmp_path):
     said = going.communicate(timeout=60)[0]
     done = int(said.split()[0])
     assert said.endswith("of 40 are done and kept\n") and 2 <= done < 40
-    assert len(list(out.glob("jobs/*/*.json"))) >= done
+    assert len(list(out.glob("jobs/[!.]*/*.json"))) >= done
     gone, alive = psutil.wait_procs(workers, timeout=5)
     assert gone and not alive
 
