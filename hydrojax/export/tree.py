@@ -29,9 +29,8 @@ from hydrojax.rigfile.controller import (
     si,
     valve_gain,
 )
-from hydrojax.rigfile.entries import Entry
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD
+from hydrojax.rigfile.sections import GEOMETRY, LOAD, Entry
 
 FORMAT = "hydrojax-rig/1"
 

@@ -11,8 +11,8 @@ from tomlkit.items import InlineTable, Table
 from hydrojax import units
 from hydrojax.effects import EFFECTS
 from hydrojax.parameters import Spec, specs
-from hydrojax.rigfile.entries import Entry
 from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.sections import Entry
 
 Values = Mapping[str, float]
 

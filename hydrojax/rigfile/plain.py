@@ -11,7 +11,7 @@ import tomlkit
 from hydrojax import units
 from hydrojax.logs.signals import SIGNALS
 from hydrojax.parameters import Spec
-from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD, SUPPLY_UNITS
+from hydrojax.rigfile.sections import GEOMETRY, LOAD, SUPPLY_UNITS
 
 _UNITS: Mapping[str, Mapping[str, str]] = {
     "geometry": GEOMETRY,

@@ -25,7 +25,7 @@ from hydrojax.logs.log import Log
 from hydrojax.parameters import Spec, get, parameter_specs, put
 from hydrojax.rigfile.build import build_loop, build_rig, inverts
 from hydrojax.rigfile.edit import identified
-from hydrojax.rigfile.scenarios import longest, rerun
+from hydrojax.rigfile.recording import longest, rerun
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.units import with_command
 

@@ -21,7 +21,7 @@ from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
 from hydrojax.logs.signals import SIGNALS
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD
+from hydrojax.rigfile.sections import GEOMETRY, LOAD
 
 many = settings(
     max_examples=250, deadline=None, derandomize=True,
