@@ -15,7 +15,7 @@ import numpy as np
 from hydrojax import units
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
-from hydrojax.logs.signals import SIGNALS
+from hydrojax.logs.tables import SIGNALS
 from hydrojax.parameters import Spec, get, specs
 from hydrojax.plant.places import hydraulic_names
 from hydrojax.plant.rig import Rig

@@ -12,8 +12,7 @@ import numpy as np
 
 from hydrojax import units
 from hydrojax.control.adaptive import Law, mean_area
-from hydrojax.control.base import AbstractController
-from hydrojax.control.estimates import ESTIMATES, RATES, Estimates
+from hydrojax.control.base import ESTIMATES, RATES, AbstractController, Estimates
 from hydrojax.errors import InputError, check_known
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.rig import Rig

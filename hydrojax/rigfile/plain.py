@@ -9,7 +9,7 @@ import numpy as np
 import tomlkit
 
 from hydrojax import units
-from hydrojax.logs.signals import SIGNALS
+from hydrojax.logs.tables import SIGNALS
 from hydrojax.parameters import Spec
 from hydrojax.rigfile.sections import GEOMETRY, LOAD, SUPPLY_UNITS
 

@@ -10,7 +10,7 @@ from typing import Any
 from hydrojax import units
 from hydrojax.control.base import AbstractController
 from hydrojax.errors import InputError, check_known
-from hydrojax.logs.signals import SIGNALS, Channel
+from hydrojax.logs.tables import SIGNALS, Channel
 from hydrojax.parameters import Spec
 from hydrojax.plant.layout import LAYOUTS, Layout
 from hydrojax.plant.valve import AbstractValve

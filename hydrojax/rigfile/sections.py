@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 from hydrojax import units
 from hydrojax.effects import EFFECTS, offered
 from hydrojax.errors import InputError, check_known
-from hydrojax.logs.signals import Channel
+from hydrojax.logs.tables import Channel
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.chambers import Chambers
 from hydrojax.plant.friction import Friction

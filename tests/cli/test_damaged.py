@@ -19,7 +19,7 @@ from benchmarks.damage.mutations import damaged_log, damaged_rig
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
-from hydrojax.logs.signals import SIGNALS
+from hydrojax.logs.tables import SIGNALS
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.rigfile.sections import GEOMETRY, LOAD
 
