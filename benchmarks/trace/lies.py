@@ -8,16 +8,12 @@ often an input is blamed that is right.
 
 from __future__ import annotations
 
-import json
 import re
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 
 Told = tuple[str, list[Any]]
 """The text of a rig file, and logs."""
@@ -97,7 +93,9 @@ def lies_of(layout: str, motion: str) -> list[Lie]:
     out = []
     for area in areas:
         for f in (1.02, 0.98):
-            out.append(Lie(f"{area} {f - 1:+.0%}", _value(area, f), (*areas, "F"), ("factor",)))
+            out.append(
+                Lie(f"{area} {f - 1:+.0%}", _value(area, f), (*areas, "F"), ("factor",))
+            )
     for f in (1.1, 0.9):
         out.append(Lie(f"P_s {f - 1:+.0%}", _times(f, "P_s"), ("P_s",), ("factor",)))
     for name in ("u", "F", motion, *P):
@@ -105,11 +103,16 @@ def lies_of(layout: str, motion: str) -> list[Lie]:
     out.append(Lie("pressures turned round", _times(-1.0, *P), P, ("sign",)))
     out.append(Lie("pressures exchanged", _exchanged(*P), P, ("exchanged",)))
     if motion == "psi":
-        for what, f in (("degrees for radians", 180 / np.pi), ("radians for degrees", np.pi / 180)):
+        for what, f in (
+            ("degrees for radians", 180 / np.pi),
+            ("radians for degrees", np.pi / 180),
+        ):
             out.append(Lie(what, _times(f, motion), (motion,), ("unit",)))
     for what, names, f in (
-        ("MPa for bar", every, 10.0), ("bar for MPa", every, 0.1),
-        ("MPa for bar, chambers", P, 10.0), ("bar for MPa, chambers", P, 0.1),
+        ("MPa for bar", every, 10.0),
+        ("bar for MPa", every, 0.1),
+        ("MPa for bar, chambers", P, 10.0),
+        ("bar for MPa, chambers", P, 0.1),
         ("bar for Pa", every, 1e5),
     ):
         out.append(Lie(what, _times(f, *names), names, ("unit",)))
@@ -117,8 +120,118 @@ def lies_of(layout: str, motion: str) -> list[Lie]:
         out.append(Lie(what, _times(f, "F"), ("F",), ("unit",)))
     for name in (*P, "F"):
         for f in (10.0, 0.1):
-            out.append(Lie(f"noise of {name} x{f:g}", _value(name, f), (name,), ("noise",)))
+            out.append(
+                Lie(f"noise of {name} x{f:g}", _value(name, f), (name,), ("noise",))
+            )
     out.append(Lie("valve left out", _without(*valve), valve, ("left out",)))
     out.append(Lie("friction left out", _without(*friction), friction, ("left out",)))
     out.append(Lie("k_cp, k_cn left out", _without(*coulomb), coulomb, ("left out",)))
     return out
+
+
+def named(checked: Any, lie: Lie) -> bool:
+    """Whether one of the findings of a `Checked` is the lie."""
+    return any(
+        set(f.input.split(", ")) & set(lie.inputs) and f.finding in lie.findings
+        for f in checked.found
+    )
+
+
+# -- the table --
+
+
+def _case(folder: Path) -> tuple[str, list[Any]]:
+    """A recorded case's rig file, and its logs to fit."""
+    from hydrojax.logs.log import Log
+    from hydrojax.rigfile.schema import RigFile
+
+    rig = RigFile.load(folder / "rig.toml")
+    logs = [Log.load(p, rig.channels) for p in sorted(folder.glob("fit*.csv*"))]
+    return rig.text, logs
+
+
+def _checked(text: str, logs: list[Any]) -> Any:
+    from hydrojax import api
+    from hydrojax.rigfile.schema import RigFile
+
+    return api.check(RigFile.from_text(text), logs)
+
+
+def _hidden(folder: Path) -> tuple[str, bool]:
+    """The kind of a case, and whether it hides nothing but usual noise."""
+    if not (folder / "truth.json").exists():
+        return "given", False
+    truth = json.loads((folder / "truth.json").read_text())
+    outside = truth["kind"] == "outside"
+    return truth["kind"], not (truth["effects"] or outside)
+
+
+def _aliases(folder: Path) -> set[str]:
+    """Inputs that a hidden effect of the case is an exact alias of."""
+    if not (folder / "truth.json").exists():
+        return set()
+    effects = json.loads((folder / "truth.json").read_text())["effects"]
+    return {"area", "area_1", "area_2", "F"} if "loadcell_gain" in effects else set()
+
+
+def honest(folders: Sequence[Path]) -> list[tuple[str, str, float]]:
+    """Of each case as it is: its name, what is blamed wrongly, and seconds."""
+    rows = []
+    for folder in folders:
+        text, logs = _case(folder)
+        began = time.perf_counter()
+        found = _checked(text, logs).found
+        spent = time.perf_counter() - began
+        wrong = [
+            f"{f.input}: {f.finding}" for f in found if f.input not in _aliases(folder)
+        ]
+        rows.append((folder.name, "; ".join(wrong), spent))
+    return rows
+
+
+def told(folder: Path) -> Iterator[tuple[Lie, Any]]:
+    """Every lie of a case, and what `check` found."""
+    text, logs = _case(folder)
+    motion = "x" if "x" in logs[0].signals else "psi"
+    layout = "pull-pull" if 'layout = "pull-pull"' in text else "differential"
+    for lie in lies_of(layout, motion):
+        yield lie, _checked(*lie.told(text, logs))
+
+
+def main(
+    folder: Annotated[list[Path], typer.Argument(help="folders of recorded cases")],
+    every: Annotated[
+        bool, typer.Option(help="lies of cases that hide something, too")
+    ] = False,
+    most: Annotated[int, typer.Option(help="cases of which lies are told")] = 12,
+) -> None:
+    """Print, as Markdown, how many lies are called by name and what is blamed wrongly."""
+    from hydrojax.jax_setup import ensure_jax
+
+    ensure_jax()
+    places = sorted(p.parent for root in folder for p in root.rglob("rig.toml"))
+    rows = honest(places)
+    blamed = [(name, wrong) for name, wrong, _ in rows if wrong]
+    slow = sorted(spent for *_, spent in rows)
+    print(f"Honest cases: {len(rows)}; an input is blamed wrongly in {len(blamed)}.\n")
+    for name, wrong in blamed:
+        print(f"- {name}: {wrong}")
+    print(f"\nSeconds a check: median {np.median(slow):.2f}, worst {slow[-1]:.2f}.\n")
+    bare = [p for p in places if every or _hidden(p)[1]]
+    score: dict[str, list[bool]] = {}
+    missed: dict[str, list[str]] = {}
+    for place in bare[:: max(len(bare) // most, 1)][:most]:
+        for lie, found in told(place):
+            hit = named(found, lie)
+            score.setdefault(lie.name, []).append(hit)
+            if not hit:
+                missed.setdefault(lie.name, []).append(place.name)
+    hits, of = (sum(f(v) for v in score.values()) for f in (sum, len))
+    print(f"Lies: {hits} of {of} called by name ({hits / max(of, 1):.1%}).\n")
+    print("| lie | called | missed in |\n|---|---|---|")
+    for name, own in sorted(score.items(), key=lambda item: np.mean(item[1])):
+        print(f"| {name} | {sum(own)}/{len(own)} | {', '.join(missed.get(name, ()))} |")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -6,12 +6,9 @@ where it explains much, and more than any effect.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
-from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from hydrojax.identify.checking.balances import (
@@ -20,12 +17,11 @@ from hydrojax.identify.checking.balances import (
     FORCE_RIVALS,
     FRICTION,
     OFFSETS,
-    Fitted,
+    PUSHES,
     Shape,
-    Table,
-    solved,
 )
 from hydrojax.identify.checking.inputs import Inputs
+from hydrojax.identify.checking.regression import Fitted, Table, solved
 
 CLEARLY = 0.8
 """Share of a balance's error that a mend may leave."""
@@ -33,8 +29,6 @@ BEYOND_EFFECTS = 0.9
 """Share of the error left by the best effect that a mend may leave."""
 AREA = 0.007
 """Least relative change of an area, or a gain of the load cell, that is called."""
-GAUGE = 0.02
-"""The same of the gain of one pressure gauge."""
 SUPPLY = 0.03
 """The same of the supply pressure."""
 SUPPLIES = (0.6, 1.6)
@@ -43,7 +37,7 @@ AT_FLOOR = 1.5
 """Error over what the sensors' noise makes of it up to which a balance closes."""
 HELD = 1.25
 """Ratio of errors from which a constant that is left out is called."""
-OFF = 0.05
+OFF = 0.01
 """Relative difference from the default from which it is named."""
 
 
@@ -80,12 +74,16 @@ def supply_factor(of: Inputs) -> Factor | None:
 
     given = error(1.0)
     near = min(0.8, 0.9, 0.95, 1.05, 1.1, 1.2, key=error)
-    if error(near) > CLEARLY ** 0.5 * given:
+    if error(near) > CLEARLY**0.5 * given:
         return None
-    best = minimize_scalar(error, bounds=SUPPLIES, method="bounded", options={"xatol": 2e-3})
+    best = minimize_scalar(
+        error, bounds=SUPPLIES, method="bounded", options={"xatol": 2e-3}
+    )
     factor, mended = float(best.x), float(best.fun)
     rival = min(of.flow_errors(FLOW).values())
-    if abs(factor - 1) < SUPPLY or mended > min(CLEARLY * given, BEYOND_EFFECTS * rival):
+    if abs(factor - 1) < SUPPLY or mended > min(
+        CLEARLY * given, BEYOND_EFFECTS * rival
+    ):
         return None
     return Factor("P_s", factor, given, mended)
 
@@ -133,8 +131,7 @@ def _gained(table: Table) -> Table:
 
 
 def force_balance(of: Inputs) -> Force:
-    """The force balance, with the shape that suits it best where the push has a gain.
-    """
+    """The force balance, with the shape that suits it best where the push is open."""
 
     def at(p: np.ndarray) -> tuple[Fitted, Table, Shape]:
         z, d = np.exp(p)
@@ -156,7 +153,7 @@ def force_balance(of: Inputs) -> Force:
         if done:
             break
     gained, table, shape = now
-    own = solved(table.holding({"push_1": 1.0, "push_2": 1.0}), FRICTION)
+    own = solved(table.holding(PUSHES), FRICTION)
     return Force(table, shape, own, gained)
 
 
@@ -182,14 +179,11 @@ def force_factor(of: Inputs, force: Force, floor: float) -> Factor | None:
         return None
     if best.mended <= CLEARLY * given:
         rival = min(
-            solved(wide.holding(_PUSHES), (*FRICTION, *more)).error
+            solved(wide.holding(PUSHES), (*FRICTION, *more)).error
             for more in FORCE_RIVALS.values()
         )
         return best if best.mended < BEYOND_EFFECTS * rival else None
     return _beside_effects(of, wide, floor)
-
-
-_PUSHES = {"push_1": 1.0, "push_2": 1.0}
 
 
 def _mended(f: Factor) -> float:
@@ -215,11 +209,10 @@ def _one_sided(of: Inputs, force: Force, below: float) -> list[Factor]:
 
 
 def _beside_effects(of: Inputs, wide: Table, floor: float) -> Factor | None:
-    """A gain that shows only once all effects are allowed for, and closes the balance.
-    """
+    """A gain that shows only once all effects are allowed for, and closes it."""
     effects = tuple(dict.fromkeys(n for more in FORCE_RIVALS.values() for n in more))
     with_gain = solved(wide, ("push", *FRICTION, *effects))
-    without = solved(wide.holding(_PUSHES), (*FRICTION, *effects))
+    without = solved(wide.holding(PUSHES), (*FRICTION, *effects))
     gain = with_gain.values["push"]
     closes = with_gain.error < min(AT_FLOOR * floor, CLEARLY * without.error)
     if not closes or abs(gain - 1) < AREA:
@@ -235,7 +228,7 @@ def force_left_out(of: Inputs, force: Force) -> LeftOut | None:
     if not held and not at:
         return None
     shape = replace(force.shape, **at)
-    table = of.force(shape).holding({**_PUSHES, **held})
+    table = of.force(shape).holding({**PUSHES, **held})
     free = [n for n in FRICTION if n not in held]
     given = solved(table, free).error if free else float(np.sqrt(np.mean(table.y**2)))
     if given < HELD * force.own.error:

@@ -13,19 +13,18 @@ from hydrojax.errors import InputError
 from hydrojax.identify.checking.balances import (
     EDGES,
     FLOW_RIVALS,
-    FORCE_RIVALS,
     FRICTION,
     OFFSETS,
+    SETTLE,
     Geometry,
     Shape,
     Stretch,
-    Table,
     flow_rivals,
     flow_table,
     force_rivals,
     force_table,
-    solved,
 )
+from hydrojax.identify.checking.regression import Table, solved
 from hydrojax.logs.log import Log
 from hydrojax.parameters import get, parameter_specs
 from hydrojax.rigfile.build import build_rig
@@ -125,14 +124,17 @@ class Inputs:
 
     def scaled(self, name: str, factor: float) -> Inputs:
         """With a signal, an area or the chamber length multiplied."""
-        g = self.geometry
-        if name == "area":
-            both = (tuple(factor * a for a in own) for own in (g.chambers, g.force))
-            return replace(self, geometry=Geometry(*both, g.length))
-        if name in ("area_1", "area_2"):
-            by = np.array([factor, 1.0] if name == "area_1" else [1.0, factor])
-            both = (tuple((by * own).tolist()) for own in (g.chambers, g.force))
-            return replace(self, geometry=Geometry(*both, g.length))
+        by = {
+            "area": (factor, factor),
+            "area_1": (factor, 1.0),
+            "area_2": (1.0, factor),
+        }.get(name)
+        if by is not None:
+            g = self.geometry
+            chambers, force = (
+                (by[0] * own[0], by[1] * own[1]) for own in (g.chambers, g.force)
+            )
+            return replace(self, geometry=Geometry(chambers, force, g.length))
         new = tuple(_scaled(s, name, factor, self.x_mid) for s in self.stretches)
         return replace(self, stretches=new)
 
@@ -148,9 +150,7 @@ class Inputs:
 
 
 def _part(s: Stretch, ticks: int) -> Stretch:
-    own = {
-        n: getattr(s, n)[:ticks] for n in ("u", "x", "P", "P_s", "P_r", "F")
-    }
+    own = {n: getattr(s, n)[:ticks] for n in ("u", "x", "P", "P_s", "P_r", "F")}
     return replace(s, **own)
 
 
@@ -180,16 +180,15 @@ def inputs_of(spec: RigFile, logs: Sequence[Log]) -> Inputs:
                 f"{log.name}: columns differ from {logs[0].name} "
                 f"({', '.join(sorted(odd))}): check logs together only with the same"
             )
-    count = sum(len(log.segments) for log in logs)
+    rows = [(log, own) for log in logs for own in log.segments]
+    lasting = [
+        (log, own)
+        for log, own in rows
+        if log.time[own[1] - 1] - log.time[own[0]] > 2 * SETTLE
+    ]
+    chosen = lasting or rows
     stretches = tuple(
-        _stretch(log, slice(*rows), spec, MOST // count)
-        for log in logs
-        for rows in log.segments
-        if rows[1] - rows[0] >= 2 * int(1.0 / _step(log)) // 1 or count == 1
-    ) or tuple(
-        _stretch(log, slice(*rows), spec, MOST // count)
-        for log in logs
-        for rows in log.segments
+        _stretch(log, slice(*own), spec, MOST // len(chosen)) for log, own in chosen
     )
     rig = build_rig(spec)
     names = tuple(parameter_specs(rig))
@@ -208,10 +207,6 @@ def inputs_of(spec: RigFile, logs: Sequence[Log]) -> Inputs:
         spec,
         spec.geometry.get("x_mid", 0.0),
     )
-
-
-def _step(log: Log) -> float:
-    return float(np.median(np.diff(log.time)))
 
 
 def _stretch(log: Log, rows: slice, spec: RigFile, most: int) -> Stretch:

@@ -7,7 +7,7 @@ what makes both balances close with constants that a rig can have is taken for t
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,11 +15,11 @@ from hydrojax.identify.checking.balances import (
     EDGES,
     FLOW,
     FRICTION,
-    Fitted,
-    Table,
-    solved,
+    NOT_NEGATIVE,
+    PUSHES,
 )
 from hydrojax.identify.checking.inputs import Inputs
+from hydrojax.identify.checking.regression import Fitted, Table, solved
 
 CLEAR = 0.4
 """Decades by which a mend must lower the implausibility; a fault costs one or more."""
@@ -69,12 +69,18 @@ class Trial:
         force: log10 of the share of the force that is left.
         odd: by how many decades values lie outside what a rig can have, by value.
         gain: of the force over what the pressures push; 1 where it is not known.
+        flow_error: RMS left of the flow, m^3 in a window's tick.
+        force_error: RMS left of the force, N.
+        stiffness: pressure that a volume makes in a chamber at mid-stroke, Pa/m^3.
     """
 
     flow: float
     force: float
     odd: dict[str, float]
     gain: float = 1.0
+    flow_error: float = 0.0
+    force_error: float = 0.0
+    stiffness: float = 0.0
 
     @property
     def cost(self) -> float:
@@ -129,23 +135,45 @@ def unit_mends(of: Inputs) -> Iterator[Mend]:
 
 def tried(of: Inputs) -> Trial:
     """How well the balances close with constants that a rig can have."""
-    odd = _odd_signals(of)
-    flow, force, gain = 0.0, 0.0, 1.0
+    trial = Trial(0.0, 0.0, _odd_signals(of))
     if of.has_flow:
-        fit = solved(of.flow, FLOW, signed=True)
-        share = fit.error / max(float(np.sqrt(np.mean(of.flow.y**2))), 1e-300)
-        flow = float(np.log10(np.clip(share, CLOSED[0], 1.0)))
-        odd |= _odd_constants(of, fit)
+        trial = _with_flow(trial, of)
     if of.has_force:
-        table = of.force(of.shape)
-        held = table.holding({"push_1": 1.0, "push_2": 1.0})
-        fit = solved(held, FRICTION, signed=True)
-        share = fit.error / max(float(np.sqrt(np.mean(table.y**2))), 1e-300)
-        force = float(np.log10(np.clip(share, CLOSED[1], 1e2)))
-        push = table.columns["push_1"] + table.columns["push_2"]
-        wide = Table(table.y, {**table.columns, "push": push})
-        gain = solved(wide, ("push", *FRICTION)).values["push"]
-    return Trial(flow, force, odd, gain)
+        trial = _with_force(trial, of)
+    return trial
+
+
+def _share(error: float, y: np.ndarray, least: float, most: float) -> float:
+    """Log10 of an error as a share of what should be explained."""
+    whole = max(float(np.sqrt(np.mean(y**2))), 1e-300)
+    return float(np.log10(np.clip(error / whole, least, most)))
+
+
+def _with_flow(trial: Trial, of: Inputs) -> Trial:
+    fit = solved(of.flow, FLOW, NOT_NEGATIVE)
+    volume = float(np.mean(of.geometry.chambers)) * of.geometry.length / 2
+    soft = max(fit.values["beta"], 1e-10)
+    return replace(
+        trial,
+        flow=_share(fit.error, of.flow.y, CLOSED[0], 1.0),
+        odd=trial.odd | _odd_constants(of, fit),
+        flow_error=fit.error,
+        stiffness=1 / soft / volume,
+    )
+
+
+def _with_force(trial: Trial, of: Inputs) -> Trial:
+    table = of.force(of.shape)
+    held = table.holding(PUSHES)
+    fit = solved(held, FRICTION, NOT_NEGATIVE)
+    push = table.columns["push_1"] + table.columns["push_2"]
+    wide = Table(table.y, {**table.columns, "push": push})
+    return replace(
+        trial,
+        force=_share(fit.error, table.y, CLOSED[1], 1e2),
+        gain=solved(wide, ("push", *FRICTION)).values["push"],
+        force_error=fit.error,
+    )
 
 
 def _beyond(value: float, low: float, high: float) -> float:

@@ -105,7 +105,7 @@ def _channel(name: str, logs: Sequence[Log]) -> Channel:
     runs = [_runs(y) for _, y in pieces]
     longest = max(h * int(r.max()) for (h, _), r in zip(pieces, runs, strict=True))
     held = np.concatenate([np.repeat(r, r) for r in runs])
-    ends = (whole == low) | (whole == high)
+    ends = np.concatenate([(y == y.min()) | (y == y.max()) for _, y in pieces])
     loud = [estimate_noise(y) for _, y in pieces if np.ptp(y) > 0 and len(y) > 7]
     pressure = name.startswith("P_")
     return Channel(
