@@ -205,7 +205,7 @@ def main(
     ] = False,
     most: Annotated[int, typer.Option(help="cases of which lies are told")] = 12,
 ) -> None:
-    """Print, as Markdown, how many lies are called by name and what is blamed wrongly."""
+    """Print how many lies are called by name, and what is blamed wrongly."""
     from hydrojax.jax_setup import ensure_jax
 
     ensure_jax()
