@@ -14,6 +14,7 @@ from hydrojax.effects.fluid import (
     EntrainedAir,
     ExternalLeakage,
     InternalLeakage,
+    PressureCompensation,
     SupplyLineDrop,
 )
 from hydrojax.effects.friction import (
@@ -31,6 +32,7 @@ from hydrojax.effects.sensors import (
     LoadcellLag,
     PressureSensorBias,
     PressureSensorLag,
+    SignalFilter,
 )
 from hydrojax.effects.structure import (
     Backlash,
@@ -39,6 +41,8 @@ from hydrojax.effects.structure import (
     RodCompliance,
 )
 from hydrojax.effects.valve import (
+    Counterbalance,
+    FlowCurve,
     OrificeTransition,
     Underlap,
     ValveBias,
@@ -76,9 +80,12 @@ EFFECTS: dict[str, type[Effect]] = {
         ValveLag,
         ValveBias,
         ValveDeadband,
+        FlowCurve,
         OrificeTransition,
         Underlap,
+        Counterbalance,
         SupplyLineDrop,
+        PressureCompensation,
         InternalLeakage,
         ExternalLeakage,
         DeadVolume,
@@ -99,6 +106,7 @@ EFFECTS: dict[str, type[Effect]] = {
         ChannelSkew,
         PressureSensorLag,
         PressureSensorBias,
+        SignalFilter,
     )
 }
 

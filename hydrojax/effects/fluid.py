@@ -34,6 +34,32 @@ class SupplyLineDrop(SupplyEffect):
         return available * load / (1 + load)
 
 
+class PressureCompensation(SupplyEffect):
+    """A compensator ahead of the edges that draw on the supply: proportional valves.
+
+    It takes what exceeds its margin: of a drop `d` over `dP_0` it leaves
+    `d^(1-s) dP_0^s`, an orifice at s = 0 and a flow set by the opening alone at s = 1.
+    Below the margin it stands open.
+    """
+
+    name = "pressure_compensation"
+    needs = ("u", "differential")
+    residual_axis = "P_s"
+    s: Float[Array, ""] = param(
+        "1", 0.0, 0.0, 1.0, "share of the drop", strength=True, size=0.1
+    )
+    dP_0: Float[Array, ""] = param(
+        "Pa", 7e5, 1e5, 3e6, "margin", grid=(4e5, 1e6), prior=5e5
+    )
+
+    def drop(
+        self, conductance: Float[Array, "*batch"], available: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
+        """Pressure taken of `available`, Pa; whatever the `conductance` is."""
+        over = jnp.maximum(available / self.dP_0, 1.0)
+        return available * -jnp.expm1(-self.s * jnp.log(over))
+
+
 class InternalLeakage(FlowEffect):
     """Laminar leakage between the chambers (C1)."""
 

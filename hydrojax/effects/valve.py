@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -176,6 +177,33 @@ class ValveDeadband(CommandChannel):
         return memory, up + jnp.where(u < -self.u_dbn, u + self.u_dbn, 0.0)
 
 
+class FlowCurve(CommandChannel):
+    """Opening that is a curve of the command, as its notches are cut (V9).
+
+    Of the share `s` of full command it opens `(1 - k) s + k s^p`: all at full command,
+    and near zero little. `u_full` is full command.
+    """
+
+    name = "flow_curve"
+    needs = ("u", "differential")
+    residual_axis = "abs(u)"
+    u_full: Float[Array, ""] = eqx.field(
+        default=1.0, converter=lambda x: jnp.asarray(x, float)
+    )
+    k: Float[Array, ""] = param(
+        "1", 0.0, -1.0, 1.0, "share of the curve", strength=True, size=0.1
+    )
+    p: Float[Array, ""] = param(
+        "1", 2.5, 1.2, 5.0, "exponent of the curve", grid=(1.6, 3.0), prior=1.0
+    )
+
+    def step(self, memory, u, h):
+        share = jnp.where(u < 0, -u, u) / self.u_full
+        shut = share == 0
+        curve = jnp.where(shut, 0.0, jnp.where(shut, 1.0, share) ** (self.p - 1))
+        return memory, u * (1 + self.k * (curve - 1))
+
+
 class OrificeTransition(OrificeEffect):
     """Laminar flow below a pressure drop `dP_t` (V10).
 
@@ -191,6 +219,40 @@ class OrificeTransition(OrificeEffect):
 
     def core(self):
         return self.dP_t2
+
+
+class Counterbalance(OrificeEffect):
+    """Over-centre valve in the line of each chamber: throttles what leaves it.
+
+    It opens with the chamber's pressure and, `ratio` times, with the other line's:
+    by `(P_i + ratio P_j - P_set) / dP_full` of its full opening. `s_i` is the share of
+    the outflow that it governs, 1 where chamber i has one. What comes from the supply
+    is free. The line's own volume and the valve's lag are left out.
+    """
+
+    name = "counterbalance"
+    needs = ("u", "differential")
+    residual_axis = "P_a1 + P_a2"
+    s_1: Float[Array, ""] = param(
+        "1", 0.0, 0.0, 1.0, "share, chamber 1", strength=True, size=0.1
+    )
+    s_2: Float[Array, ""] = param(
+        "1", 0.0, 0.0, 1.0, "share, chamber 2", strength=True, size=0.1
+    )
+    P_set: Float[Array, ""] = param(
+        "Pa", 1.5e7, 2e6, 4e7, "setting", grid=(8e6, 1.5e7, 2.5e7)
+    )
+    ratio: Float[Array, ""] = param("1", 3.0, 0.5, 12.0, "pilot ratio", prior=2.0)
+    dP_full: Float[Array, ""] = param(
+        "Pa", 1.5e7, 5e5, 6e7, "pressure from shut to open", prior=1e7
+    )
+
+    def outlet(self, at):
+        def passes(s, own, pilot):
+            over = (own + self.ratio * pilot - self.P_set) / self.dP_full
+            return 1 - s * (1 - jnp.clip(over, 0.0, 1.0))
+
+        return passes(self.s_1, at.P_a1, at.P_a2), passes(self.s_2, at.P_a2, at.P_a1)
 
 
 class Underlap(OrificeEffect):
