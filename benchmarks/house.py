@@ -11,18 +11,23 @@ Counted are the modules of `hydrojax/`, `identify/` and `tune/`:
 - long functions and files: past 60 and past 300 lines;
 - shapeless signatures: arrays without a shape in a public function or class;
 - files run: package files in which a function ran between the first row of a CSV and
-  the last byte of report.json.
+  the last byte of report.json, in a call of `hydrojax.trace`; with the lines of all of
+  them, since no file may pass 300.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import inspect
+import json
+import math
 import re
 import sys
-import tempfile
+import threading
 from collections import defaultdict
 from collections.abc import Iterator
+from importlib import resources
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -35,6 +40,8 @@ ROOMS = {
 
 LONG_FUNCTION = 60
 LONG_FILE = 300
+FUNCTION = inspect.CO_OPTIMIZED | inspect.CO_NEWLOCALS
+"""Flags of the code of a function; that of a module or a class body lacks them."""
 
 BARE = re.compile(
     r"(?<![\w\[.])(?:(?:jax|jnp|np)\.)?(?:Array|ndarray)\b(?!\s*,\s*['\"])(?!Like)"
@@ -176,10 +183,12 @@ def long_functions() -> list[str]:
 
 def long_files() -> list[str]:
     """Modules past `LONG_FILE` lines, as `module (lines)`."""
-    lengths = {
-        m: len(p.read_text(encoding="utf-8").splitlines()) for m, p in modules().items()
-    }
+    lengths = {m: _length(p) for m, p in modules().items()}
     return [f"{m} ({n})" for m, n in lengths.items() if n > LONG_FILE]
+
+
+def _length(path: Path) -> int:
+    return len(path.read_text(encoding="utf-8").splitlines())
 
 
 def _annotations(body: list[ast.stmt], name: str) -> Iterator[tuple[str, str]]:
@@ -211,35 +220,58 @@ def shapeless() -> list[str]:
 
 
 def files_run() -> list[str]:
-    """Package files in which a function ran from a CSV row to report.json."""
-    from importlib import resources
+    """Package files in which a function ran from a CSV row to report.json.
 
-    from hydrojax import cli
-    from hydrojax.jax_setup import set_up_jax
-
-    set_up_jax()
-    seen: set[str] = set()
-    mine = {str(path.resolve()) for path in modules().values()}
-
-    def hear(frame, event, _):
-        if event == "call" and frame.f_code.co_name != "<module>":
-            seen.add(frame.f_code.co_filename)
+    From Python, `hydrojax.trace` of the demo's logs, and the text of report.json: no
+    command line, no pictures, no page. What runs once because a module is imported
+    (its own lines, bodies of classes, decorators) is not work on a row, and does not
+    count.
+    """
+    import hydrojax
+    from hydrojax.identify.results.outcome import report_json
 
     demo = resources.files("hydrojax") / "demo"
-    with tempfile.TemporaryDirectory() as out, resources.as_file(demo) as here:
-        words = ["trace", here / "rig.toml"]
-        words += [here / f"fit_{i}.csv.gz" for i in (1, 2)]
-        words += ["--validate", here / "validate.csv.gz", "--out", Path(out) / "found"]
-        sys.argv = ["hydrojax", *map(str, words)]
-        sys.setprofile(hear)
-        try:
-            cli.main()
-        except SystemExit:
-            pass
-        finally:
-            sys.setprofile(None)
-    reached = {str(Path(name).resolve()) for name in seen}
-    return sorted(str(Path(f).relative_to(ROOT)) for f in reached & mine)
+    mine = {str(path.resolve()) for path in modules().values()}
+    with resources.as_file(demo) as here, Listener(mine) as listener:
+        fitted = [here / f"fit_{i}.csv.gz" for i in (1, 2)]
+        found = hydrojax.trace(here / "rig.toml", fitted, [here / "validate.csv.gz"])
+        json.dumps(report_json(found.outcome), allow_nan=False)
+    return sorted(str(Path(name).relative_to(ROOT)) for name in listener.heard)
+
+
+class Listener:
+    """Hears in which files functions run, in this thread and in those it starts."""
+
+    def __init__(self, files: set[str]):
+        self.files, self.heard = files, set[str]()
+        self._real: dict[str, str] = {}
+        self._imports = threading.local()
+
+    def __enter__(self):
+        threading.setprofile(self._hear)
+        sys.setprofile(self._hear)
+        return self
+
+    def __exit__(self, *_):
+        sys.setprofile(None)
+        threading.setprofile(None)
+
+    def _hear(self, frame, event, _):
+        """Count imports of the package's modules that are under way in this thread."""
+        if event not in ("call", "return"):
+            return
+        code = frame.f_code
+        file = self._real.get(code.co_filename)
+        if file is None:
+            file = str(Path(code.co_filename).resolve())
+            self._real[code.co_filename] = file
+        if file not in self.files:
+            return
+        open_ = getattr(self._imports, "open", 0)
+        if code.co_name == "<module>":
+            self._imports.open = open_ + (1 if event == "call" else -1)
+        elif event == "call" and not open_ and code.co_flags & FUNCTION == FUNCTION:
+            self.heard.add(file)
 
 
 def main() -> None:
@@ -266,6 +298,12 @@ def main() -> None:
         print(f"{name:36s} {len(found):4d}   (goal: {goal})")
         if given.list:
             print("".join(f"    {line}\n" for line in found), end="")
+    if not given.static:
+        lines = sum(_length(ROOT / name) for name in rows[-1][1])
+        print(
+            f"{'their lines':36s} {lines:4d}   (at {LONG_FILE} a file these need "
+            f"{math.ceil(lines / LONG_FILE)} files)"
+        )
 
 
 if __name__ == "__main__":

@@ -30,8 +30,8 @@ from hydrojax.identify.estimation.problem import (
 from hydrojax.identify.estimation.starts import best_start
 from hydrojax.identify.inference.profile import profiles
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
-from hydrojax.identify.results.closed_loop import check_loop
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
+from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.summary import summarise
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing

@@ -20,7 +20,7 @@ from hydrojax.identify.preparation.segments import common_band
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import make_room
 from hydrojax.logs.log import Log
-from hydrojax.logs.signals import Channel
+from hydrojax.logs.tables import Channel
 from hydrojax.parameters import specs
 from hydrojax.rigfile.build import over_travel
 from hydrojax.rigfile.schema import RigFile

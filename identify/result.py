@@ -15,8 +15,7 @@ from hydrojax.identify.case import Case, LogSource, read
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.report.figures import every_parameter, judged
-from hydrojax.identify.report.write import write_report
-from hydrojax.identify.results import show
+from hydrojax.identify.report.write import plot, result_html, write_report
 from hydrojax.identify.results.outcome import FoundEffect, Outcome
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant.rig import Rig
@@ -166,7 +165,7 @@ class Result:
         Raises:
             InputError: no such picture, or nothing to show in it.
         """
-        return show.plot(self.outcome, picture)
+        return plot(self.outcome, picture)
 
     def save(self, folder: str | Path) -> None:
         """Write report.json, report.html, its figures and rig.toml into a folder.
@@ -185,7 +184,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        return show.result_html(self.outcome)
+        return result_html(self.outcome)
 
 
 def _wrapped(lines: list[str], width: int) -> str:

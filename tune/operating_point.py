@@ -22,8 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from hydrojax.control.adaptive import Law, truth
-from hydrojax.control.base import clamp
-from hydrojax.control.estimates import Estimates
+from hydrojax.control.base import Estimates, clamp
 from hydrojax.control.loop import Loop, Scenario, start_loop, step_loop
 from hydrojax.control.simulation import PARTS
 from hydrojax.plant.load import Driven, EnvironmentMotion

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hydrojax.control.adaptive import mean_area
-from hydrojax.control.estimates import Estimates
+from hydrojax.control.base import Estimates
 from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import PARTS
 from hydrojax.effects.valve import QUEUE, ValveDelay, ValveLag

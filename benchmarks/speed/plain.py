@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from hydrojax.control.adaptive import LEAST_DROP
-from hydrojax.control.estimates import Estimates
+from hydrojax.control.base import Estimates
 from hydrojax.control.loop import Loop
 from hydrojax.plant.valve import LAMINAR_CORE
 

@@ -15,11 +15,11 @@ from jaxtyping import Array, Float
 
 from hydrojax.control.base import (
     AbstractController,
+    Estimates,
     Measured,
     clamp,
     gain,
 )
-from hydrojax.control.estimates import Estimates
 from hydrojax.plant.friction import Theta
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.valve import metering_edges

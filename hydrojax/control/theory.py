@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.control.adaptive import adaptive_law, mean_area, truth
-from hydrojax.control.estimates import Estimates
+from hydrojax.control.base import Estimates
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.control.simulation import Run
 from hydrojax.plant.valve import metering_edges

@@ -13,7 +13,7 @@ import numpy as np
 
 from hydrojax import __version__
 from hydrojax.control.adaptive import LEAST_DROP, Law
-from hydrojax.control.estimates import Estimates
+from hydrojax.control.base import Estimates
 from hydrojax.export.template import fill
 from hydrojax.export.tree import defaults_taken, rig_tree
 from hydrojax.plant.valve import metering_edges

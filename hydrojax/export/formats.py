@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 import jax
 
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, check_known
 from hydrojax.export.firmware import firmware_of, not_given
 from hydrojax.export.fmu import fmu_of
 from hydrojax.export.modelica import modelica_of
@@ -61,11 +60,7 @@ def export(spec: RigFile, formats: Iterable[str]) -> Export:
     wanted = list(dict.fromkeys(formats))
     if not wanted:
         raise InputError(f"--to: name one or more of {', '.join(FORMATS)}")
-    for name in wanted:
-        if name not in FORMATS:
-            near = get_close_matches(name, FORMATS, n=1, cutoff=0.5)
-            mend = f"did you mean {near[0]!r}?" if near else f"known: {list(FORMATS)}"
-            raise InputError(f"--to: unknown format {name!r}; {mend}")
+    check_known("--to:", wanted, FORMATS, "format")
     files: Files = {}
     for name in wanted:
         files |= FORMATS[name](spec)

@@ -13,9 +13,8 @@ from scipy.io import savemat
 
 from hydrojax.export.tree import Tree, check_names, rig_tree, signal_units
 from hydrojax.rigfile.controller import KEYS, file_keys, key_unit, si
-from hydrojax.rigfile.entries import Entry
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD
+from hydrojax.rigfile.sections import GEOMETRY, LOAD, Entry
 
 
 def toml_of(spec: RigFile) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from hydrojax import units
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
-from hydrojax.logs.signals import SIGNALS
+from hydrojax.logs.tables import SIGNALS
 from hydrojax.parameters import Spec, get, specs
 from hydrojax.plant.places import hydraulic_names
 from hydrojax.plant.rig import Rig
@@ -29,9 +29,8 @@ from hydrojax.rigfile.controller import (
     si,
     valve_gain,
 )
-from hydrojax.rigfile.entries import Entry
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD
+from hydrojax.rigfile.sections import GEOMETRY, LOAD, Entry
 
 FORMAT = "hydrojax-rig/1"
 

@@ -41,11 +41,6 @@ class Bag:
     messages: Callable[[Collection[str]], Iterator[Message]]
 
 
-def is_bag(path: Path) -> bool:
-    """Whether a path names what `read_bag` reads: .mcap, .db3, or any folder."""
-    return path.suffix.lower() in (".mcap", ".db3") or path.is_dir()
-
-
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
     """Open a .mcap or .db3 file, or the folder of a ROS 2 bag.

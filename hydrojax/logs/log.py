@@ -18,18 +18,17 @@ import pandas as pd
 from jaxtyping import Float
 
 from hydrojax.errors import InputError
-from hydrojax.logs.bagfile import is_bag
-from hydrojax.logs.cleaning import (
+from hydrojax.logs.columns import (
+    assigned,
     check_time,
     check_values,
     merged_rows,
     segments_of,
+    si_values,
     without_lone_holes,
 )
-from hydrojax.logs.columns import assigned, si_values
 from hydrojax.logs.rosbag import read_bag
-from hydrojax.logs.signals import Channel
-from hydrojax.logs.tables import File, read_table, table_of
+from hydrojax.logs.tables import Channel, File, is_bag, read_table, table_of
 
 SHORTEST = 0.5
 """Least length of a segment, s."""

@@ -1,4 +1,4 @@
-"""Files of columns: CSV, Parquet, MAT v5 and v7.3, each read as it stands."""
+"""What a log may hold; files of columns: CSV, Parquet, MAT v5 and v7.3."""
 
 from __future__ import annotations
 
@@ -13,8 +13,25 @@ import h5py
 import numpy as np
 import pandas as pd
 import scipy.io
+from pydantic import BaseModel, ConfigDict
 
 from hydrojax.errors import InputError
+
+SIGNALS = {
+    "time": "s", "u": "{u}", "psi": "rad", "x": "m", "v": "m/s", "P_a1": "Pa",
+    "P_a2": "Pa", "P_s": "Pa", "P_r": "Pa", "P": "N", "F": "N", "F_d": "N",
+}  # fmt: skip
+"""What a log may hold, and the SI unit; `{u}` is V or 1."""
+
+
+class Channel(BaseModel):
+    """One line of the rig file's [channels]: where a signal is in the logs."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    column: str
+    unit: str | None = None
+    invert: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,6 +85,11 @@ def read_table(path: Path) -> File:
         mend = f"export it again as {kind}"
         raise unreadable(path, f"{kind} file", err, mend) from err
     return File(path, columns, header=1 if reader is _csv else 0)
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path names what `read_bag` reads: .mcap, .db3, or any folder."""
+    return path.suffix.lower() in (".mcap", ".db3") or path.is_dir()
 
 
 def table_of(frame: pd.DataFrame, units: Mapping[str, str], name: str) -> File:

@@ -30,7 +30,7 @@ from hydrojax.rigfile.controller import (
     with_gains,
 )
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.vocabulary import LANDS
+from hydrojax.rigfile.sections import LANDS
 
 
 def effects_of(names: Iterable[str], file: RigFile) -> dict[str, Effect]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 import equinox as eqx
 import jax
@@ -13,13 +12,11 @@ import numpy as np
 
 from hydrojax import units
 from hydrojax.control.adaptive import Law, mean_area
-from hydrojax.control.base import AbstractController
-from hydrojax.control.estimates import ESTIMATES, RATES, Estimates
-from hydrojax.errors import InputError
+from hydrojax.control.base import ESTIMATES, RATES, AbstractController, Estimates
+from hydrojax.errors import InputError, check_known
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.sections import check_known
 
 ENCODER = 2 * np.pi / 2**23
 """The paper's absolute encoder of 23 bits: one step, rad."""
@@ -104,10 +101,7 @@ def read_keys(where: str, table: Mapping[str, object], spec: RigFile) -> Values:
     """
     out: Values = {}
     for name, given in table.items():
-        if name not in KEYS:
-            near = get_close_matches(name, KEYS, n=1, cutoff=0.5)
-            mend = f"did you mean {near[0]!r}?" if near else f"known: {list(KEYS)}"
-            raise InputError(f"{where} unknown key {name!r}; {mend}")
+        check_known(where, [name], KEYS, "key")
         key = KEYS[name]
         both = list(given) if isinstance(given, (list, tuple)) else [given, given]
         if len(both) != 2 or (both[0] is not both[1] and not key.pair):

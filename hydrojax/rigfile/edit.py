@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import tomlkit
 from tomlkit.items import InlineTable, Table
@@ -11,6 +12,7 @@ from hydrojax import units
 from hydrojax.effects import EFFECTS
 from hydrojax.parameters import Spec, specs
 from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.sections import Entry
 
 Values = Mapping[str, float]
 
@@ -62,6 +64,20 @@ def rewrite(
         for key, value in controller.items():
             table[key] = value
     return tomlkit.dumps(document)
+
+
+def identified(spec: RigFile, values: dict[str, float]) -> RigFile:
+    """The rig file with its own parameters, and its effects', at identified values."""
+    base = dict(spec.parameters)
+    effects = {name: dict(given) for name, given in spec.effects.items()}
+    for name, value in values.items():
+        effect, _, field = name.rpartition(".")
+        if effect and effect not in effects:
+            continue
+        table = effects[effect] if effect else base
+        old = table.get(field)
+        table[field] = Entry(value, None, old.unit if old else "")
+    return replace(spec, parameters=base, effects=effects)
 
 
 def _tables(document, spec: RigFile):

@@ -9,9 +9,9 @@ import numpy as np
 import tomlkit
 
 from hydrojax import units
-from hydrojax.logs.signals import SIGNALS
+from hydrojax.logs.tables import SIGNALS
 from hydrojax.parameters import Spec
-from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD, SUPPLY_UNITS
+from hydrojax.rigfile.sections import GEOMETRY, LOAD, SUPPLY_UNITS
 
 _UNITS: Mapping[str, Mapping[str, str]] = {
     "geometry": GEOMETRY,

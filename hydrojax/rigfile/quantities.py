@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from hydrojax import units
 from hydrojax.control.adaptive import Law
-from hydrojax.control.estimates import RATES, Estimates
+from hydrojax.control.base import RATES, Estimates
 from hydrojax.control.loop import Loop
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError

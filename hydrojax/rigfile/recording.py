@@ -1,4 +1,4 @@
-"""A closed-loop run as a log: its columns, and files of them."""
+"""Logs of closed-loop runs: written from a run, and run again from a log."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import scipy.io
 from jaxtyping import Float
+from scipy import interpolate
 
-from hydrojax.control.simulation import Run
+from hydrojax.control.loop import Loop, Scenario
+from hydrojax.control.simulation import Run, Trajectory, make_scenario
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
 from hydrojax.rigfile.schema import RigFile
@@ -39,6 +43,67 @@ def position(log: Log, spec: RigFile) -> Float[np.ndarray, "n"]:
             )
         return log.signals["psi"] * spec.geometry["radius"]
     raise InputError(f"{log.name}: no motion: give a column x [m] or psi [rad]")
+
+
+def rerun(
+    spec: RigFile, loop: Loop, log: Log, most: float
+) -> tuple[Scenario | None, Loop]:
+    """The scenario of a measured run, and the loop begun where the run began.
+
+    Args:
+        spec: the rig.
+        loop: the loop that will run it.
+        log: with F_d and motion; its supply is taken where it has one.
+        most: s, of which no more is taken.
+
+    Returns:
+        None for a scenario of less than two seconds without a gap or a missing F_d.
+    """
+    start, stop = longest(log)
+    rows = slice(start, stop)
+    t = log.time[rows] - log.time[start]
+    holes = np.flatnonzero(np.isnan(log.signals["F_d"][rows]))
+    end = t[holes[0] - 1] if holes.size else t[-1]
+    h = float(loop.h)
+    n = int(min(end, most) / h)
+    if n * h < 2.0:
+        return None, loop
+    at = np.arange(n + 1) * h
+
+    def given(name: str) -> float | np.ndarray:
+        if name not in log.signals:
+            return spec.line[name]
+        return np.interp(at, t, log.signals[name][rows])
+
+    F_d = np.interp(at[:-1], t, log.signals["F_d"][rows])
+    path = log_path(log, spec, (start, stop))
+    if "P_a1" in log.signals and "P_a1" in spec.layout.pressures:
+        first = jnp.asarray(np.median(log.signals["P_a1"][rows][:5]))
+        loop = eqx.tree_at(lambda lo: lo.P_start, loop, first)
+    return make_scenario(F_d, path, h, given("P_s"), given("P_r")), loop
+
+
+def longest(log: Log) -> tuple[int, int]:
+    """The longest segment of a log: [start, stop) rows without a gap."""
+    return max(log.segments, key=lambda rows: rows[1] - rows[0])
+
+
+def duration(log: Log) -> float:
+    """The length of the longest segment of a log, s."""
+    start, stop = longest(log)
+    return float(log.time[stop - 1]) - float(log.time[start])
+
+
+def log_path(log: Log, spec: RigFile, rows: tuple[int, int]) -> Trajectory:
+    """The motion of a stretch of a log, from its first row on."""
+    t, x = log.time[slice(*rows)], position(log, spec)[slice(*rows)]
+    spline = interpolate.make_interp_spline(t, x, k=5)
+
+    def path(at: np.ndarray, nu: int) -> np.ndarray:
+        # Held at its ends: a spline runs off beyond them.
+        return spline(np.clip(t[0] + at, t[0], t[-1]), nu)
+
+    return path
 
 
 def place_column(

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy import interpolate
 
 from hydrojax.control.inputs import (
     AbstractMotion,
@@ -24,7 +22,7 @@ from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import Trajectory, make_scenario
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
-from hydrojax.rigfile.recording import position
+from hydrojax.rigfile.recording import duration, log_path, longest
 from hydrojax.rigfile.schema import RigFile
 
 _Values: TypeAlias = Float[np.ndarray, "samples"] | Sequence[float]
@@ -68,7 +66,7 @@ class LoggedForce(AbstractReference):
 
     def seconds(self, h: float) -> float:
         """The length of the log's longest segment, s."""
-        return _duration(self.log)
+        return duration(self.log)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +91,7 @@ class LoggedMotion(AbstractMotion):
 
     def seconds(self, h: float) -> float:
         """The length of the log's longest segment, s."""
-        return _duration(self.log)
+        return duration(self.log)
 
 
 def rig_scenario(
@@ -190,63 +188,3 @@ def _load(path: str | Path, file: RigFile, example: str) -> Log:
             f"{path}: no such log; give a log's path, or a value such as {example}"
         )
     return Log.load(path, file.channels)
-
-
-def rerun(
-    spec: RigFile, loop: Loop, log: Log, most: float
-) -> tuple[Scenario | None, Loop]:
-    """The scenario of a measured run, and the loop begun where the run began.
-
-    Args:
-        spec: the rig.
-        loop: the loop that will run it.
-        log: with F_d and motion; its supply is taken where it has one.
-        most: s, of which no more is taken.
-
-    Returns:
-        None for a scenario of less than two seconds without a gap or a missing F_d.
-    """
-    start, stop = longest(log)
-    rows = slice(start, stop)
-    t = log.time[rows] - log.time[start]
-    holes = np.flatnonzero(np.isnan(log.signals["F_d"][rows]))
-    end = t[holes[0] - 1] if holes.size else t[-1]
-    h = float(loop.h)
-    n = int(min(end, most) / h)
-    if n * h < 2.0:
-        return None, loop
-    at = np.arange(n + 1) * h
-
-    def given(name: str) -> float | np.ndarray:
-        if name not in log.signals:
-            return spec.line[name]
-        return np.interp(at, t, log.signals[name][rows])
-
-    F_d = np.interp(at[:-1], t, log.signals["F_d"][rows])
-    path = log_path(log, spec, (start, stop))
-    if "P_a1" in log.signals and "P_a1" in spec.layout.pressures:
-        first = jnp.asarray(np.median(log.signals["P_a1"][rows][:5]))
-        loop = eqx.tree_at(lambda lo: lo.P_start, loop, first)
-    return make_scenario(F_d, path, h, given("P_s"), given("P_r")), loop
-
-
-def longest(log: Log) -> tuple[int, int]:
-    """The longest segment of a log: [start, stop) rows without a gap."""
-    return max(log.segments, key=lambda rows: rows[1] - rows[0])
-
-
-def _duration(log: Log) -> float:
-    start, stop = longest(log)
-    return float(log.time[stop - 1]) - float(log.time[start])
-
-
-def log_path(log: Log, spec: RigFile, rows: tuple[int, int]) -> Trajectory:
-    """The motion of a stretch of a log, from its first row on."""
-    t, x = log.time[slice(*rows)], position(log, spec)[slice(*rows)]
-    spline = interpolate.make_interp_spline(t, x, k=5)
-
-    def path(at: np.ndarray, nu: int) -> np.ndarray:
-        # Held at its ends: a spline runs off beyond them.
-        return spline(np.clip(t[0] + at, t[0], t[-1]), nu)
-
-    return path

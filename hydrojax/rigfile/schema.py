@@ -9,26 +9,25 @@ from typing import Any
 
 from hydrojax import units
 from hydrojax.control.base import AbstractController
-from hydrojax.errors import InputError
-from hydrojax.logs.signals import SIGNALS, Channel
+from hydrojax.errors import InputError, check_known
+from hydrojax.logs.tables import SIGNALS, Channel
 from hydrojax.parameters import Spec
 from hydrojax.plant.layout import LAYOUTS, Layout
 from hydrojax.plant.valve import AbstractValve
-from hydrojax.rigfile.entries import (
-    Entry,
-    entry,
-    givens,
-    section_values,
-    unit_of_command,
-)
 from hydrojax.rigfile.plain import to_text
-from hydrojax.rigfile.sections import ControllerValue, check_known, read_sections
-from hydrojax.rigfile.vocabulary import (
+from hydrojax.rigfile.sections import (
     GEOMETRY,
     LOAD,
     SUPPLY_UNITS,
+    ControllerValue,
+    Entry,
     base_specs,
     effect_specs,
+    entry,
+    givens,
+    read_sections,
+    section_values,
+    unit_of_command,
 )
 
 SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}

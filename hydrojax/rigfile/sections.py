@@ -1,17 +1,40 @@
-"""The sections of a rig file as TOML has them: their shapes, quantities as written."""
+"""The sections of a rig file: what each may hold, and what it gives, checked in SI."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Annotated, Any, NoReturn
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from hydrojax.errors import InputError
-from hydrojax.logs.signals import Channel
+from hydrojax import units
+from hydrojax.effects import EFFECTS, offered
+from hydrojax.errors import InputError, check_known
+from hydrojax.logs.tables import Channel
+from hydrojax.parameters import Spec, specs
+from hydrojax.plant.chambers import Chambers
+from hydrojax.plant.friction import Friction
 from hydrojax.plant.layout import LAYOUTS
+from hydrojax.plant.valve import AbstractValve, MeteringEdges
+
+GEOMETRY = {
+    "area": "m^2", "area_1": "m^2", "area_2": "m^2",
+    "chamber_length": "m", "radius": "m", "x_mid": "m",
+    "x_from": "m", "x_to": "m",
+}  # fmt: skip
+"""What [geometry] may hold, and the SI unit."""
+
+SUPPLY_UNITS = {"P_s": "Pa", "P_r": "Pa"}
+"""What [supply] may hold, and the SI unit."""
+
+LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
+"""What [load] may hold, and the SI unit."""
+
+LANDS = tuple(specs(MeteringEdges))
+"""The valve constants' names."""
 
 ControllerValue = str | int | float | list[str | int | float]
 """A quantity, a number in the paper's unit, or two bounds of either."""
@@ -90,13 +113,178 @@ def _refuse(path: str, tree: Mapping[str, Any], error: ValidationError) -> NoRet
     ) from None
 
 
-def check_known(
-    where: str, given: Iterable[str], known: Iterable[str], what: str
-) -> None:
-    """Refuse the first name that is not known, and suggest the nearest."""
-    known = list(known)
-    for name in given:
-        if name not in known:
-            near = get_close_matches(name, known, n=1, cutoff=0.5)
-            mend = f"did you mean {near[0]!r}?" if near else f"known: {known}"
-            raise InputError(f"{where} unknown {what} {name!r}; {mend}")
+def base_specs(valve: AbstractValve | None = None) -> dict[str, Spec]:
+    """The base model's parameters, by name: those of valve, chambers and friction.
+
+    Args:
+        valve: None for the paper's four metering edges.
+
+    Raises:
+        InputError: no valve, or one with a parameter that chambers or friction have.
+    """
+    if valve is not None and not isinstance(valve, AbstractValve):
+        raise InputError(
+            f"valve: invalid {valve!r}: expected an instance of an AbstractValve"
+        )
+    own = specs(MeteringEdges if valve is None else valve)
+    rest = {**specs(Chambers), **specs(Friction)}
+    if shared := sorted(own.keys() & rest.keys()):
+        raise InputError(
+            f"valve: {type(valve).__name__} declares {shared[0]}, which the chambers "
+            "or the friction have; rename it"
+        )
+    return own | rest
+
+
+def effect_specs() -> dict[str, dict[str, Spec]]:
+    """The parameters of every effect, by the effect's name.
+
+    Effects that installed packages offer belong to it, and those of files that
+    `effects.load_effects` has read.
+
+    Raises:
+        InputError: an installed package offers an effect that cannot be used.
+    """
+    offered()
+    return {name: specs(effect) for name, effect in EFFECTS.items()}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One parameter as the file gives it, in the SI unit its model stores.
+
+    Attributes:
+        start: where the search starts, or the value held.
+        range: the range it may take; None: held fixed at `start`.
+        unit: SI unit of both.
+    """
+
+    start: float
+    range: tuple[float, float] | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class Given:
+    """A parameter as written, beside what is known of it."""
+
+    where: str
+    field: str
+    spec: Spec
+    start: object
+    range: tuple[object, object] | None
+    reciprocal: bool  # given under `spec.outside`
+
+
+def section_values(
+    where: str, given: Mapping[str, object], wants: Mapping[str, str]
+) -> dict[str, float]:
+    """The quantities of one table in SI; `wants` are its keys and their units.
+
+    Raises:
+        InputError: an unknown key, no quantity, or a wrong unit.
+    """
+    check_known(where, given, wants, "key")
+    return {
+        key: units.quantity(text, wants[key], f"{where} {key}")
+        for key, text in given.items()
+    }
+
+
+def givens(
+    where: str, table: Mapping[str, Any], known: Mapping[str, Spec]
+) -> list[Given]:
+    """The parameters of one table, under the names that the models use.
+
+    Raises:
+        InputError: an unknown name, one given twice, or no start beside a range.
+    """
+    outside = {s.outside[0]: field for field, s in known.items() if s.outside}
+    shown = [s.outside[0] if s.outside else field for field, s in known.items()]
+    check_known(where, [k for k in table if k not in known], shown, "parameter")
+    found: list[Given] = []
+    for key, value in table.items():
+        field, start, bounds = outside.get(key, key), value, None
+        if any(given.field == field for given in found):
+            raise InputError(f"{where} {key} gives {field} a second time; drop one")
+        if isinstance(value, dict):
+            check_known(f"{where} {key}", value, ("start", "range"), "key")
+            start, ends = value.get("start"), value.get("range")
+            if start is None or not isinstance(ends, list) or len(ends) != 2:
+                raise InputError(
+                    f"{where} {key} needs a start and a range of two; write {key} = "
+                    '{ start = "...", range = ["...", "..."] }'
+                )
+            bounds = (ends[0], ends[1])
+        reciprocal = key in outside and key not in known
+        found.append(
+            Given(f"{where} {key}", field, known[field], start, bounds, reciprocal)
+        )
+    return found
+
+
+def unit_of_command(givens: Iterable[Given]) -> str:
+    """The command's unit, V or 1, that all the constants agree on.
+
+    Raises:
+        InputError: they do not.
+    """
+    found: tuple[str, str] | None = None
+    for given in givens:
+        want = _file_unit(given)
+        if "{u}" not in want:
+            continue
+        written = units.split(given.start, given.where)[1] or "1"
+        wants = {u: units.with_command(want, u) for u in ("V", "1")}
+        fitting = [u for u in wants if units.fits(written, wants[u])]
+        if not fitting:
+            continue  # a wrong unit, which `_entry` refuses
+        if found and found[0] not in fitting:
+            raise InputError(
+                f"{given.where} takes the command in {fitting[0]}, {found[1]} in "
+                f"{found[0]}; give all of them for a command in V, or all for 1"
+            )
+        found = found or (fitting[0], given.field)
+    return found[0] if found else "V"
+
+
+def _file_unit(given: Given) -> str:
+    outside = given.spec.outside
+    return outside[1] if given.reciprocal and outside else given.spec.unit
+
+
+def entry(given: Given, command: str) -> Entry:
+    """A parameter in SI, as its model stores it.
+
+    Raises:
+        InputError: no quantity, a wrong unit, or a range without the start in it.
+    """
+    want = units.with_command(_file_unit(given), command)
+    texts = {"start": given.start}
+    if given.range is not None:
+        texts |= {"range": given.range[0], "range's end": given.range[1]}
+    values = []
+    for key, text in texts.items():
+        where = f"{given.where} {key}" if given.range else given.where
+        value = units.quantity(text, want, where)
+        if given.reciprocal and value <= 0.0:
+            raise InputError(f"{where}: {text!r} must be above 0; give a larger one")
+        values.append(value)
+    unit = units.with_command(given.spec.unit, command)
+    if given.range is None:
+        start = 1.0 / values[0] if given.reciprocal else values[0]
+        return Entry(start, None, unit)
+    start, lower, upper = values
+    if not lower < upper:
+        raise InputError(
+            f"{given.where} range {list(given.range)} is upside down or empty; put the "
+            "smaller first, or give a plain quantity to hold it fixed"
+        )
+    if not lower <= start <= upper:
+        raise InputError(
+            f"{given.where} start {given.start!r} is outside its range "
+            f"{list(given.range)}; widen the range or move the start"
+        )
+    if given.reciprocal:
+        start, lower, upper = 1.0 / start, 1.0 / upper, 1.0 / lower
+    return Entry(start, (lower, upper), unit)

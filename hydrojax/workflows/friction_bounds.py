@@ -22,13 +22,12 @@ from hydrojax.identify.estimation.box import (
     friction_names,
     smallest_box,
 )
-from hydrojax.identify.results.closed_loop import identified
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log
 from hydrojax.rigfile import controller
 from hydrojax.rigfile.build import build_loop
-from hydrojax.rigfile.edit import rewrite, text
-from hydrojax.rigfile.scenarios import rerun
+from hydrojax.rigfile.edit import identified, rewrite, text
+from hydrojax.rigfile.recording import rerun
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune.ensemble import Plants
 from hydrojax.tune.refine import refine, tracking_errors, with_bounds

@@ -12,8 +12,6 @@ from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
-from hydrojax.identify.results import describe
-from hydrojax.identify.results.extrapolation import extrapolation
 from hydrojax.identify.results.outcome import (
     Candidate,
     ChannelErrors,
@@ -23,8 +21,13 @@ from hydrojax.identify.results.outcome import (
     Outcome,
     Unexplained,
 )
-from hydrojax.identify.results.parameters import named_effects, parameters_of
-from hydrojax.identify.results.series import series_of, signals_of
+from hydrojax.identify.results.parts import (
+    named_effects,
+    parameters_of,
+    series_of,
+    signals_of,
+)
+from hydrojax.identify.results.unexplained import extrapolation, unexplained
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.state import Tracing
@@ -128,7 +131,7 @@ def _left(
     """
     tick = float(np.median(case.check.windows.h))
     return tuple(
-        describe.unexplained(
+        unexplained(
             CHANNELS[c],
             UNITS[c],
             float(state.noise[c]),

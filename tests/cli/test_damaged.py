@@ -19,9 +19,9 @@ from benchmarks.damage.mutations import damaged_log, damaged_rig
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
-from hydrojax.logs.signals import SIGNALS
+from hydrojax.logs.tables import SIGNALS
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.vocabulary import GEOMETRY, LOAD
+from hydrojax.rigfile.sections import GEOMETRY, LOAD
 
 many = settings(
     max_examples=250, deadline=None, derandomize=True,

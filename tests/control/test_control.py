@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from hydrojax.control.adaptive import Law, mean_area, project
-from hydrojax.control.base import Measured
-from hydrojax.control.estimates import Estimates
+from hydrojax.control.base import Estimates, Measured
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import LAYOUTS

@@ -14,7 +14,7 @@ import pytest
 from hydrojax.cli.scenario import read_inputs
 from hydrojax.control import simulation, waveforms
 from hydrojax.control.adaptive import mean_area
-from hydrojax.control.estimates import Estimates
+from hydrojax.control.base import Estimates
 from hydrojax.control.loop import Scenario
 from hydrojax.errors import InputError
 from hydrojax.identify import api as running

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from hydrojax.control.simulation import simulate_loop
-from hydrojax.identify.results.closed_loop import check_loop, identified
+from hydrojax.identify.results.parts import check_loop
 from hydrojax.logs.log import Log
 from hydrojax.parameters import get, parameter_specs
 from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import build_loop, build_rig
+from hydrojax.rigfile.edit import identified
 from hydrojax.rigfile.scenarios import rig_scenario
 from hydrojax.rigfile.schema import RigFile
 

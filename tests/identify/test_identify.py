@@ -32,7 +32,7 @@ from hydrojax.identify.preparation.data import prepare_logs, runs_backward
 from hydrojax.identify.preparation.noise import estimate_noise, motion_band, smooth
 from hydrojax.identify.results import summary
 from hydrojax.identify.results.outcome import Outcome
-from hydrojax.identify.results.parameters import parameter_of
+from hydrojax.identify.results.parts import parameter_of
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.parameters import specs

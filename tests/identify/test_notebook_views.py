@@ -11,7 +11,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from hydrojax.errors import InputError
-from hydrojax.identify.results import show
+from hydrojax.identify.report import write
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.tune import metrics
 from hydrojax.tune.accessor import sentences
@@ -62,7 +62,7 @@ def bare(text: str) -> None:
 @pytest.mark.parametrize("name", OUTCOMES)
 def test_an_outcome_shows_its_verdict_in_a_notebook(name):
     outcome = OUTCOMES[name]()
-    text = show.result_html(outcome)
+    text = write.result_html(outcome)
     bare(text)
     assert f"{outcome.verdict}." in Page(text).said
     assert outcome.sentence in Page(text).said
@@ -70,7 +70,7 @@ def test_an_outcome_shows_its_verdict_in_a_notebook(name):
 
 
 def test_an_outcome_shows_effects_channels_and_parameters():
-    effects, channels, found = Tables(show.result_html(explained())).tables
+    effects, channels, found = Tables(write.result_html(explained())).tables
     assert effects[1:] == [
         ["internal leakage", "c_il", "(1.030 ± 0.014) × 10⁻¹² m³/(s·Pa)",
          "< 10⁻³⁰⁰", ""],
@@ -89,10 +89,10 @@ def test_an_outcome_shows_effects_channels_and_parameters():
 
 
 def test_an_outcome_plots_what_tells_most():
-    assert len(show.plot(explained()).axes) == 3  # against the signal of each effect
-    assert len(show.plot(nothing_missing()).axes) == 1
-    assert len(show.plot(explained(), "residual").axes) == 6
-    assert isinstance(show.plot(identified(), "parameter"), Figure)
+    assert len(write.plot(explained()).axes) == 3  # against the signal of each effect
+    assert len(write.plot(nothing_missing()).axes) == 1
+    assert len(write.plot(explained(), "residual").axes) == 6
+    assert isinstance(write.plot(identified(), "parameter"), Figure)
 
 
 @pytest.mark.parametrize(
@@ -101,22 +101,22 @@ def test_an_outcome_plots_what_tells_most():
 )
 def test_a_picture_that_is_not_there_is_refused_in_one_line(picture, says):
     with pytest.raises(InputError, match=says):
-        show.plot(identified(), picture)
+        write.plot(identified(), picture)
 
 
 def test_an_outcome_with_nothing_shows_its_sentence():
     empty = Outcome("identify", "rig", (), (), "nothing missing", "Nothing.", {}, {})
-    assert Tables(show.result_html(empty)).tables == []
+    assert Tables(write.result_html(empty)).tables == []
     with pytest.raises(InputError, match="nothing to show"):
-        show.plot(empty)
+        write.plot(empty)
 
 
 def test_text_of_a_log_does_not_become_markup():
     outcome = replace(explained(), rig="<b>rig</b> & co", sentence="a < b")
-    text = show.result_html(outcome)
+    text = write.result_html(outcome)
     assert "&lt;b&gt;rig&lt;/b&gt; &amp; co" in text and "a &lt; b" in text
     cells = replace(outcome, channels={"<i>": explained().channels["F"]})
-    assert "<i>" not in show.result_html(cells)
+    assert "<i>" not in write.result_html(cells)
 
 
 # -- the gains --

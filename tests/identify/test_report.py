@@ -23,6 +23,7 @@ from hydrojax.identify.results.outcome import (
     Parameter,
     Series,
     Unexplained,
+    report_json,
 )
 from hydrojax.report import files, text
 
@@ -324,10 +325,7 @@ def test_json_takes_numpy_numbers():
     outcome = replace(
         nothing_missing(), channels={"F": odd}, seconds={"run": np.int64(3)}
     )
-    assert (
-        json.loads(json.dumps(write.report_json(outcome)))["channels"]["F"]["before"]
-        == 3
-    )
+    assert json.loads(json.dumps(report_json(outcome)))["channels"]["F"]["before"] == 3
 
 
 @pytest.mark.parametrize("name", OUTCOMES)

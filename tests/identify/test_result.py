@@ -16,7 +16,7 @@ from hydrojax.identify.case import open_case, read
 from hydrojax.identify.result import Result
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
-from hydrojax.logs.signals import Channel
+from hydrojax.logs.tables import Channel
 from hydrojax.parameters import get
 from hydrojax.rigfile.schema import RigFile
 

@@ -19,7 +19,7 @@ import hydrojax
 from hydrojax.errors import InputError
 from hydrojax.identify.preparation.data import prepare_logs
 from hydrojax.logs.log import Log
-from hydrojax.logs.signals import Channel
+from hydrojax.logs.tables import Channel
 from hydrojax.rigfile.schema import RigFile
 
 pytest.importorskip("mcap")

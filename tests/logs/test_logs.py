@@ -14,7 +14,7 @@ import scipy.io
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
-from hydrojax.logs.signals import Channel
+from hydrojax.logs.tables import Channel
 
 
 def a_run(rows: int = 2000, step: float = 0.001) -> dict[str, np.ndarray]:

@@ -8,8 +8,8 @@ import pytest
 
 from hydrojax.errors import InputError
 from hydrojax.parameters import Spec
-from hydrojax.rigfile.entries import Entry
 from hydrojax.rigfile.schema import RigFile, read_rig
+from hydrojax.rigfile.sections import Entry
 
 
 def spec(unit: str, **more) -> Spec:
