@@ -100,9 +100,11 @@ def _accounted(state: Tracing, scores: Mapping[str, Score], noise: np.ndarray) -
     if not np.any((rms > (1 + state.criteria.matters) * noise)[seen]):
         return True
     windows, ticks, _ = state.problem.batch.windows.measured.shape
-    most = (state.criteria.at_noise * noise[seen] / weights[seen]) ** 2
-    least = min((s.left - s.gain for s in scores.values()), default=np.inf)
-    return least <= windows * ticks * float(np.sum(most))
+    floor = windows * ticks * float(np.sum((noise[seen] / weights[seen]) ** 2))
+    left = next(iter(scores.values())).left
+    above = (state.criteria.at_noise**2 - 1) * floor
+    above = min(above, state.criteria.fair_share * max(left - floor, 0.0))
+    return left - max(s.gain for s in scores.values()) <= floor + above
 
 
 def _local(problem: Problem, few: Batch, values: Values, free: Sequence[str]) -> _Local:
