@@ -3,6 +3,7 @@
 from . import effects as effects
 from . import export as export
 from . import paper as paper
+from .api import check as check
 from .api import fit as fit
 from .api import trace as trace
 from .control.base import AbstractController as AbstractController
@@ -18,6 +19,7 @@ from .control.inputs import wander as wander
 from .effects import effect as effect
 from .effects import load_effects as load_effects
 from .errors import InputError as InputError
+from .identify.checking.check import Checked as Checked
 from .identify.result import Result as Result
 from .identify.tracing.criteria import Criteria as Criteria
 from .jax_setup import set_up_jax as set_up_jax

@@ -1,14 +1,17 @@
-"""Identification and trace: rig and logs in, a `Result` out."""
+"""Check, identification and trace: rig and logs in, a result out."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from hydrojax.errors import InputError
 from hydrojax.identify import api
-from hydrojax.identify.case import Case, LogSource, RigSource, open_case
+from hydrojax.identify.case import Case, LogSource, RigSource, open_case, read
+from hydrojax.identify.checking.check import Checked, check_inputs
 from hydrojax.identify.result import Result
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import ensure_jax
+from hydrojax.rigfile.schema import RigFile
 
 Progress = Callable[[str], None]
 """Is called with a line of text at each stage."""
@@ -77,6 +80,27 @@ def trace(
     """
     case = _opened(rig, logs, validate, test, horizon, criteria)
     return Result(api.trace_case(case, starts, progress, profile), case)
+
+
+def check(rig: RigSource, logs: Sequence[LogSource]) -> Checked:
+    """Check whether rig file and logs can be true, before anything is fitted.
+
+    Signs, exchanged channels, units, areas, the supply, stated noise and constants that
+    the rig file leaves out are tried on balances of flow and force over short windows:
+    nothing is simulated.
+
+    Args:
+        rig: a `RigFile`, or the path of one.
+        logs: recorded on it: each a `Log`, a path, or a DataFrame (`Log.from_frame`).
+
+    Raises:
+        InputError: whatever cannot be read of rig or logs, in one line.
+    """
+    ensure_jax()
+    spec = rig if isinstance(rig, RigFile) else RigFile.load(rig)
+    if not logs:
+        raise InputError(f"{spec.path}: no log to check: name at least one")
+    return check_inputs(spec, [read(log, spec) for log in logs])
 
 
 def _opened(

@@ -1,4 +1,4 @@
-"""The commands that fit: `identify`, `trace`, `demo`."""
+"""The commands on logs: `check`, `identify`, `trace`, `demo`."""
 
 from __future__ import annotations
 
@@ -36,6 +36,37 @@ Test = typer.Option(
     help="Logs that take part in no decision: all words that follow. Errors before and "
     "after are then theirs.",
 )
+
+
+@app.command()
+def check(
+    rig: RigPath,
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Logs of the rig: CSV(.gz), Parquet, MAT, MCAP or a ROS 2 bag's "
+            "folder.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for a page and a table.")
+    ] = None,
+    effects: Effects = None,
+) -> None:
+    """Say what the logs hold, and which inputs look wrong: signs, units, factors."""
+    if out is not None:
+        check_out(out)
+    set_up_jax(user_cache())
+    load_effects(effects)
+    from hydrojax import api
+
+    with show_progress():
+        found = api.check(rig, logs)
+    console.print(found.summary(), markup=False, soft_wrap=True, end="")
+    if out is not None:
+        found.save(out)
+        console.print(f"\npage in {out / 'check.html'}", markup=False)
 
 
 @app.command()

@@ -1,0 +1,1 @@
+"""Whether rig file and logs can be true, before anything is fitted."""

@@ -1,0 +1,242 @@
+"""Factors of inputs that are nearly right, and constants that a rig file leaves out.
+
+Each is tried on the balances beside what effects do there: an input is blamed only
+where it explains much, and more than any effect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from hydrojax.identify.checking.balances import (
+    EDGES,
+    FLOW,
+    FORCE_RIVALS,
+    FRICTION,
+    OFFSETS,
+    PUSHES,
+    Shape,
+)
+from hydrojax.identify.checking.inputs import Inputs
+from hydrojax.identify.checking.regression import Fitted, Table, solved
+
+CLEARLY = 0.8
+"""Share of a balance's error that a mend may leave."""
+BEYOND_EFFECTS = 0.9
+"""Share of the error left by the best effect that a mend may leave."""
+AREA = 0.007
+"""Least relative change of an area, or a gain of the load cell, that is called."""
+SUPPLY = 0.03
+"""The same of the supply pressure."""
+SUPPLIES = (0.6, 1.6)
+"""Factors of the supply pressure that are tried."""
+AT_FLOOR = 1.5
+"""Error over what the sensors' noise makes of it up to which a balance closes."""
+HELD = 1.25
+"""Ratio of errors from which a constant that is left out is called."""
+OFF = 0.01
+"""Relative difference from the default from which it is named."""
+
+
+@dataclass(frozen=True)
+class Factor:
+    """An input that is off by a factor: the error as given, and mended.
+
+    Errors are of the balance, m^3 of a window or N.
+    """
+
+    input: str
+    factor: float
+    given: float
+    mended: float
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Constants that the rig file leaves out, at what the balance says of each, SI."""
+
+    values: dict[str, float]
+    given: float
+    mended: float
+
+
+# -- the flow --
+
+
+def supply_factor(of: Inputs) -> Factor | None:
+    """A supply pressure that is off by a factor; None where none is called."""
+
+    def error(factor: float) -> float:
+        return solved(of.scaled("P_s", factor).flow, FLOW).error
+
+    given = error(1.0)
+    near = min(0.8, 0.9, 0.95, 1.05, 1.1, 1.2, key=error)
+    if error(near) > CLEARLY**0.5 * given:
+        return None
+    best = minimize_scalar(
+        error, bounds=SUPPLIES, method="bounded", options={"xatol": 2e-3}
+    )
+    factor, mended = float(best.x), float(best.fun)
+    rival = min(of.flow_errors(FLOW).values())
+    if abs(factor - 1) < SUPPLY or mended > min(
+        CLEARLY * given, BEYOND_EFFECTS * rival
+    ):
+        return None
+    return Factor("P_s", factor, given, mended)
+
+
+def flow_left_out(of: Inputs) -> LeftOut | None:
+    """Constants of valve and oil that are left out and not at their defaults."""
+    held = {n: of.defaults[n] for n in FLOW if n not in of.spec.parameters}
+    if not held:
+        return None
+    free = solved(of.flow, FLOW)
+    soft = free.values["beta"]
+    found = {n: free.values[n] for n in EDGES} | {"beta": 1 / soft}
+    found |= {n: free.values[n] / soft for n in OFFSETS}
+    known = {n: v for n, v in held.items() if n in EDGES}
+    if "beta" in held:
+        soft = known["beta"] = 1 / held["beta"]
+    known |= {n: v * soft for n, v in held.items() if n in OFFSETS}
+    table, open_ = of.flow.holding(known), [n for n in FLOW if n not in known]
+    given = solved(table, open_).error if open_ else float(np.sqrt(np.mean(table.y**2)))
+    if given < HELD * free.error:
+        return None
+    off = {n: found[n] for n, v in held.items() if _differs(found[n], v)}
+    return LeftOut(off, given, free.error) if off else None
+
+
+# -- the force --
+
+
+@dataclass(frozen=True)
+class Force:
+    """The force balance at the shape of friction that closes it best.
+
+    `own` leaves the push at 1, `gained` has one gain of it.
+    """
+
+    table: Table
+    shape: Shape
+    own: Fitted
+    gained: Fitted
+
+
+def _gained(table: Table) -> Table:
+    push = table.columns["push_1"] + table.columns["push_2"]
+    return Table(table.y, {**table.columns, "push": push})
+
+
+def force_balance(of: Inputs) -> Force:
+    """The force balance, with the shape that suits it best where the push is open."""
+
+    def at(p: np.ndarray) -> tuple[Fitted, Table, Shape]:
+        z, d = np.exp(p)
+        shape = replace(of.shape, z_ss=of.shape.z_ss * z, delta=of.shape.delta * d)
+        table = _gained(of.force(shape))
+        return solved(table, ("push", *FRICTION)), table, shape
+
+    p, step = np.zeros(2), 0.05
+    now = at(p)
+    for _ in range(4):
+        rest = now[0].left
+        J = np.stack([(at(p + d)[0].left - rest) / step for d in step * np.eye(2)], 1)
+        move = -np.linalg.lstsq(J, rest, rcond=1e-6)[0]
+        new = at(p + np.clip(move, -0.5, 0.5))
+        if new[0].error > now[0].error:
+            break
+        done = new[0].error > 0.997 * now[0].error
+        p, now = p + np.clip(move, -0.5, 0.5), new
+        if done:
+            break
+    gained, table, shape = now
+    own = solved(table.holding(PUSHES), FRICTION)
+    return Force(table, shape, own, gained)
+
+
+def force_factor(of: Inputs, force: Force, floor: float) -> Factor | None:
+    """An area, a gauge or a load cell off by a factor; None where none is called.
+
+    One gauge is blamed only where it does clearly better than the gain of all.
+
+    Args:
+        of: the inputs.
+        force: their balance.
+        floor: error that the sensors' noise makes, N.
+    """
+    wide = force.table.with_columns(of.force_rivals(force.shape))
+    given, common = force.own.error, force.gained
+    gain = common.values["push"]
+    found = [Factor(_common(of), gain, given, common.error)]
+    if {"P_a1", "P_a2"} <= of.logged:
+        found += _one_sided(of, force, 0.97 * common.error)
+    found = [f for f in found if abs(f.factor - 1) > AREA]
+    best = min(found, key=_mended, default=None)
+    if best is None:
+        return None
+    if best.mended <= CLEARLY * given:
+        rival = min(
+            solved(wide.holding(PUSHES), (*FRICTION, *more)).error
+            for more in FORCE_RIVALS.values()
+        )
+        return best if best.mended < BEYOND_EFFECTS * rival else None
+    return _beside_effects(of, wide, floor)
+
+
+def _mended(f: Factor) -> float:
+    return f.mended
+
+
+def _common(of: Inputs) -> str:
+    """What has the gain of the whole push: the area, or the load cell's own."""
+    return "area" if "area" in of.spec.geometry else "F"
+
+
+def _one_sided(of: Inputs, force: Force, below: float) -> list[Factor]:
+    """One side's gain, where the error falls below that of a common one."""
+    names = ("P_a1", "P_a2") if "area" in of.spec.geometry else ("area_1", "area_2")
+    out = []
+    for name, own, other in zip(
+        names, ("push_1", "push_2"), ("push_2", "push_1"), strict=True
+    ):
+        one = solved(force.table.holding({other: 1.0}), (own, *FRICTION))
+        if one.error < below:
+            out.append(Factor(name, one.values[own], force.own.error, one.error))
+    return out
+
+
+def _beside_effects(of: Inputs, wide: Table, floor: float) -> Factor | None:
+    """A gain that shows only once all effects are allowed for, and closes it."""
+    effects = tuple(dict.fromkeys(n for more in FORCE_RIVALS.values() for n in more))
+    with_gain = solved(wide, ("push", *FRICTION, *effects))
+    without = solved(wide.holding(PUSHES), (*FRICTION, *effects))
+    gain = with_gain.values["push"]
+    closes = with_gain.error < min(AT_FLOOR * floor, CLEARLY * without.error)
+    if not closes or abs(gain - 1) < AREA:
+        return None
+    return Factor(_common(of), gain, without.error, with_gain.error)
+
+
+def force_left_out(of: Inputs, force: Force) -> LeftOut | None:
+    """Constants of friction that are left out and not at their defaults."""
+    held = {n: of.defaults[n] for n in FRICTION if n not in of.spec.parameters}
+    at = {n: getattr(of.shape, n) for n in ("z_ss", "delta")}
+    at = {n: v for n, v in at.items() if n not in of.spec.parameters}
+    if not held and not at:
+        return None
+    shape = replace(force.shape, **at)
+    table = of.force(shape).holding({**PUSHES, **held})
+    free = [n for n in FRICTION if n not in held]
+    given = solved(table, free).error if free else float(np.sqrt(np.mean(table.y**2)))
+    if given < HELD * force.own.error:
+        return None
+    found = force.own.values | {n: getattr(force.shape, n) for n in at}
+    off = {n: found[n] for n, v in (held | at).items() if _differs(found[n], v)}
+    return LeftOut(off, given, force.own.error) if off else None
+
+
+def _differs(one: float, other: float) -> bool:
+    return abs(one - other) > OFF * max(abs(one), abs(other))

@@ -1,0 +1,243 @@
+"""The search for inputs that are turned round, exchanged or in another unit.
+
+Every mend of one input is tried on the balances, and every second one beside the best;
+what makes both balances close with constants that a rig can have is taken for true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydrojax.identify.checking.balances import (
+    EDGES,
+    FLOW,
+    FRICTION,
+    NOT_NEGATIVE,
+    PUSHES,
+)
+from hydrojax.identify.checking.inputs import Inputs
+from hydrojax.identify.checking.regression import Fitted, Table, solved
+
+CLEAR = 0.4
+"""Decades by which a mend must lower the implausibility; a fault costs one or more."""
+EQUAL = 0.08
+"""Decades within which two mends do equally well: the first of the list is taken."""
+TRIAL_TICKS = 12_000
+"""Ticks on which mends are tried."""
+CLOSED = (0.005, 0.03)
+"""Shares of the flow and of the force that may be left in a balance that closes."""
+BETA = (2e8, 3e9)
+"""Bulk moduli that oil in a cylinder has, Pa."""
+SUPPLIES = (1e5, 1e8)
+"""Supply pressures of hydraulic and pneumatic rigs, Pa."""
+SLIP = 3.0
+"""Ratio of force and push from which another unit is tried; units differ by 9.8 on."""
+FARTHEST = 4.0
+"""Decades beyond which it does not matter by how many a value is odd."""
+VACUUM = -1.5e5
+"""Pa: a gauge that reads less, by more than its offset, is turned round."""
+
+
+@dataclass(frozen=True)
+class Mend:
+    """What is done to inputs: each is multiplied by `factor`, or, where `finding` says
+    so, two are exchanged.
+    """
+
+    inputs: tuple[str, ...]
+    finding: str
+    factor: float
+
+    def applied(self, to: Inputs) -> Inputs:
+        """The inputs mended."""
+        if self.finding == "exchanged":
+            return to.exchanged()
+        for name in self.inputs:
+            to = to.scaled(name, self.factor)
+        return to
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How a rig file and its logs agree, in decades; less is better.
+
+    Attributes:
+        flow: log10 of the share of the flow that is left.
+        force: log10 of the share of the force that is left.
+        odd: by how many decades values lie outside what a rig can have, by value.
+        gain: of the force over what the pressures push; 1 where it is not known.
+        flow_error: RMS left of the flow, m^3 in a window's tick.
+        force_error: RMS left of the force, N.
+        stiffness: pressure that a volume makes in a chamber at mid-stroke, Pa/m^3.
+    """
+
+    flow: float
+    force: float
+    odd: dict[str, float]
+    gain: float = 1.0
+    flow_error: float = 0.0
+    force_error: float = 0.0
+    stiffness: float = 0.0
+
+    @property
+    def cost(self) -> float:
+        """All of it."""
+        return self.flow + self.force + 2 * sum(self.odd.values())
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether other units are worth a try: a slip leaves a value that no rig has,
+        or a force that the pressures do not push with.
+        """
+        return bool(self.odd) or not 1 / SLIP < abs(self.gain) < SLIP
+
+
+def mends(of: Inputs) -> Iterator[Mend]:
+    """Signs and an exchange: tried on every log; the likeliest first."""
+    for name in ("u", of.motion, "F", "P_a1", "P_a2"):
+        if name in of.logged:
+            yield Mend((name,), "sign", -1.0)
+    if {"P_a1", "P_a2"} <= of.logged:
+        yield Mend(("P_a1", "P_a2"), "exchanged", 1.0)
+        yield Mend(("P_a1", "P_a2"), "sign", -1.0)
+
+
+def unit_mends(of: Inputs) -> Iterator[Mend]:
+    """Other units: tried where something is odd."""
+    tens = (10.0, 1e2, 1e3, 1e5, 1e6)
+    both = tuple(p for p in ("P_a1", "P_a2") if p in of.logged)
+    every = tuple(p for p in (*both, "P_s") if p in of.logged or p == "P_s")
+    groups = [both, every, ("P_s",), *((p,) for p in both)]
+    for group in dict.fromkeys(g for g in groups if g):
+        for f in tens:
+            yield Mend(group, "unit", f)
+            yield Mend(group, "unit", 1 / f)
+    factors = {
+        of.motion: (180 / np.pi,) if of.motion == "psi" else (10.0, 1e2, 1e3),
+        "u": (1e2, 1e3),
+        "F": (10.0, 9.80665, 1e2, 1e3, 1e6),
+    }
+    areas = ("area",) if "area" in of.spec.geometry else ("area_1", "area_2")
+    for name, own in factors.items():
+        if name in of.logged:
+            for f in own:
+                yield Mend((name,), "unit", f)
+                yield Mend((name,), "unit", 1 / f)
+    if "radius" in of.spec.geometry and of.motion == "psi":
+        yield from (Mend(("radius",), "unit", f) for f in (10.0, 1e3, 0.1, 1e-3))
+    for f in (1e2, 1e4, 1e6):
+        yield Mend(areas, "unit", f)
+        yield Mend(areas, "unit", 1 / f)
+
+
+def tried(of: Inputs) -> Trial:
+    """How well the balances close with constants that a rig can have."""
+    trial = Trial(0.0, 0.0, _odd_signals(of))
+    if of.has_flow:
+        trial = _with_flow(trial, of)
+    if of.has_force:
+        trial = _with_force(trial, of)
+    return trial
+
+
+def _share(error: float, y: np.ndarray, least: float, most: float) -> float:
+    """Log10 of an error as a share of what should be explained."""
+    whole = max(float(np.sqrt(np.mean(y**2))), 1e-300)
+    return float(np.log10(np.clip(error / whole, least, most)))
+
+
+def _with_flow(trial: Trial, of: Inputs) -> Trial:
+    fit = solved(of.flow, FLOW, NOT_NEGATIVE)
+    volume = float(np.mean(of.geometry.chambers)) * of.geometry.length / 2
+    soft = max(fit.values["beta"], 1e-10)
+    return replace(
+        trial,
+        flow=_share(fit.error, of.flow.y, CLOSED[0], 1.0),
+        odd=trial.odd | _odd_constants(of, fit),
+        flow_error=fit.error,
+        stiffness=1 / soft / volume,
+    )
+
+
+def _with_force(trial: Trial, of: Inputs) -> Trial:
+    table = of.force(of.shape)
+    held = table.holding(PUSHES)
+    fit = solved(held, FRICTION, NOT_NEGATIVE)
+    push = table.columns["push_1"] + table.columns["push_2"]
+    wide = Table(table.y, {**table.columns, "push": push})
+    return replace(
+        trial,
+        force=_share(fit.error, table.y, CLOSED[1], 1e2),
+        gain=solved(wide, ("push", *FRICTION)).values["push"],
+        force_error=fit.error,
+    )
+
+
+def _beyond(value: float, low: float, high: float) -> float:
+    """Decades by which a positive value lies outside a range."""
+    return float(np.clip(np.log10(max(low / value, value / high)), 0.0, FARTHEST))
+
+
+def _odd_signals(of: Inputs) -> dict[str, float]:
+    """Motion and pressures that the rig cannot have."""
+    out: dict[str, float] = {}
+    if of.spec.layout.has_valve and "chamber_length" in of.spec.geometry:
+        far = max(float(np.max(np.abs(s.x))) for s in of.stretches)
+        ends = of.spec.parameters.get("delta_1")
+        more = ends.range[1] if ends and ends.range else 0.1 * of.geometry.length
+        out["travel"] = _beyond(far, 0.0 + 1e-30, of.geometry.length / 2 + more)
+    P_s = float(np.median(np.concatenate([s.P_s for s in of.stretches])))
+    if of.has_flow:
+        out["P_s"] = _beyond(max(P_s, 1.0), *SUPPLIES)
+    for i, name in enumerate(("P_a1", "P_a2")):
+        if name in of.logged:
+            own = np.concatenate([s.P[:, i] for s in of.stretches])
+            if of.has_flow:
+                top = float(np.quantile(own, 0.99))
+                out[name] = _beyond(max(top, 1.0), 1.0, 1.3 * max(P_s, 1.0) + 5e5)
+            if np.quantile(own, 0.05) < VACUUM:
+                out[name] = out.get(name, 0.0) + 1.0
+    return {n: v for n, v in out.items() if v > 0}
+
+
+def _odd_constants(of: Inputs, fit: Fitted) -> dict[str, float]:
+    """Constants of valve and oil outside the rig file's range, or a decade off."""
+    out: dict[str, float] = {}
+    # What the balance leaves open of it is no fault of the inputs.
+    soft, open_ = fit.values["beta"], 3 * fit.std["beta"]
+    declared = of.spec.parameters.get("beta")
+    low, high = BETA
+    if declared is not None and declared.range is None:
+        low, high = min(low, declared.start / 2), max(high, declared.start * 2)
+    stiff, yielding = (1 / max(s, 1e-30) for s in (soft + open_, soft - open_))
+    out["beta"] = max(_beyond(stiff, 1e-30, high * 2), _beyond(yielding, low / 2, 1e40))
+    decades = []
+    for name in EDGES:
+        entry = of.spec.parameters.get(name)
+        if entry is None or fit.values[name] <= 0:
+            continue
+        low, high = entry.range or (entry.start / 10, entry.start * 10)
+        decades.append(_beyond(fit.values[name], low / 1.5, high * 1.5))
+    if decades:
+        out["valve"] = float(np.median(decades))
+    return {n: v for n, v in out.items() if v > 0}
+
+
+def searched(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
+    """The mends that the logs ask for, each with the trial before and after it."""
+    now = of.shortened(TRIAL_TICKS)
+    before, found = tried(now), []
+    for _ in range(2):
+        trials = [(m, tried(m.applied(now))) for m in mends(now)]
+        if before.suspicious:
+            trials += [(m, tried(m.applied(now))) for m in unit_mends(now)]
+        least = min(t.cost for _, t in trials)
+        mend, after = next((m, t) for m, t in trials if t.cost <= least + EQUAL)
+        if before.cost - after.cost < CLEAR:
+            break
+        found.append((mend, before, after))
+        now, before = mend.applied(now), after
+    return found

@@ -1,0 +1,287 @@
+"""Findings on inputs in words: what looks wrong, and the line to write."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from hydrojax import units
+from hydrojax.identify.checking.balances import FLOW, NOT_NEGATIVE
+from hydrojax.identify.checking.factors import Factor, LeftOut
+from hydrojax.identify.checking.inputs import Inputs
+from hydrojax.identify.checking.regression import solved
+from hydrojax.identify.checking.search import Mend, Trial
+from hydrojax.identify.checking.sensors import CLIPPED, SENSORS, STUCK, VACUUM
+from hydrojax.logs.tables import SIGNALS
+from hydrojax.parameters import Spec
+from hydrojax.rigfile.edit import text
+
+NOISE = (1 / 6, 7.0)
+"""Ratios of a channel's noise to the stated one beyond which that is called: a slip of
+ten, less what colour takes from the differences and a lively force adds to them."""
+
+SLIPS: Mapping[str, Sequence[tuple[float, str, str]]] = {
+    "Pa": (
+        (0.1, "MPa", "bar"), (10.0, "bar", "MPa"), (1e-2, "bar", "kPa"),
+        (1e2, "kPa", "bar"), (1e-3, "kPa", "Pa"), (1e3, "Pa", "kPa"),
+        (1e-5, "bar", "Pa"), (1e5, "Pa", "bar"), (1e-6, "MPa", "Pa"),
+        (1e6, "Pa", "MPa"),
+    ),
+    "N": ((1e-3, "kN", "N"), (1e3, "N", "kN"), (9.80665, "N", "kgf")),
+    "rad": ((np.pi / 180, "rad", "deg"), (180 / np.pi, "deg", "rad")),
+    "m": ((1e-3, "m", "mm"), (1e3, "mm", "m"), (1e-2, "m", "cm"), (0.1, "cm", "mm")),
+    "{u}": ((1e-3, "V", "mV"), (1e-2, "1", "percent")),
+    "m^2": ((1e-6, "m^2", "mm^2"), (1e-4, "m^2", "cm^2"), (1e-2, "cm^2", "mm^2")),
+}  # fmt: skip
+"""Units that are read for another: the factor that mends it, the unit that was read,
+and the unit that it is."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An input that looks wrong.
+
+    Attributes:
+        input: a signal, or a key of the rig file; several are joined by commas.
+        finding: `sign`, `exchanged`, `unit`, `factor`, `left out`, `noise`, `stuck`,
+            `clipped` or `vacuum`.
+        factor: what the input is to be multiplied by; None where that mends nothing.
+        error: RMS of the balance that shows it, as given; None where none does.
+        error_if_mended: the same with the input mended.
+        unit: of both: Pa for the flow's balance, N for the force's.
+        says: what looks wrong, and the line to write.
+    """
+
+    input: str
+    finding: str
+    factor: float | None
+    error: float | None
+    error_if_mended: float | None
+    unit: str
+    says: str
+
+
+def stiffness(of: Inputs) -> float:
+    """Pressure that a volume of oil makes in a chamber at mid-stroke, Pa/m^3."""
+    soft = solved(of.flow, FLOW, NOT_NEGATIVE).values["beta"]
+    volume = float(np.mean(of.geometry.chambers)) * of.geometry.length / 2
+    return 1 / max(soft, 1e-10) / volume
+
+
+def _columns(of: Inputs, names: Sequence[str], **more: object) -> str:
+    """The lines under [channels] that read signals in another way."""
+    lines = []
+    for name in names:
+        given = of.spec.channels.get(name)
+        entry: dict[str, object] = {"column": given.column if given else name}
+        if given and given.unit:
+            entry["unit"] = given.unit
+        if given and given.invert:
+            entry["invert"] = True
+        entry |= more
+        own = ", ".join(f"{k} = {json.dumps(v)}" for k, v in entry.items())
+        lines.append(f"{name} = {{ {own} }}")
+    return f"[channels] {'; '.join(lines)}"
+
+
+def _turned(of: Inputs, names: Sequence[str]) -> str:
+    given = of.spec.channels.get(names[0])
+    return _columns(of, names, invert=not (given and given.invert))
+
+
+def of_mend(mend: Mend, before: Trial, after: Trial, of: Inputs) -> Finding:
+    """An input turned round, exchanged or in another unit."""
+    by_force = mend.inputs == ("F",) or not of.has_flow
+    errors = (before.force_error, after.force_error)
+    if not by_force:
+        errors = (
+            before.flow_error * after.stiffness,
+            after.flow_error * after.stiffness,
+        )
+    known = of.has_force or of.has_flow
+    return Finding(
+        ", ".join(mend.inputs),
+        mend.finding,
+        mend.factor,
+        # In another unit what is left has another size: it would not compare.
+        errors[0] if known and mend.finding != "unit" else None,
+        errors[1] if known else None,
+        "N" if by_force else "Pa",
+        _SAYS[mend.finding](mend, of),
+    )
+
+
+def _says_sign(mend: Mend, of: Inputs) -> str:
+    names = " and ".join(mend.inputs)
+    also = {
+        "u": ", or the valve's ports are exchanged, which is the same",
+        "psi": ", or all else is", "x": ", or all else is",
+    }.get(mend.inputs[0], "")  # fmt: skip
+    run = "runs" if len(mend.inputs) == 1 else "run"
+    return (
+        f"{names} {run} against the rig's sign{also}: write {_turned(of, mend.inputs)}"
+    )
+
+
+def _says_exchanged(mend: Mend, of: Inputs) -> str:
+    columns = {n: of.spec.channels[n].column if n in of.spec.channels else n
+               for n in mend.inputs}  # fmt: skip
+    one, other = mend.inputs
+    return (
+        f"{one} and {other} are exchanged: write [channels] "
+        f'{one} = {{ column = "{columns[other]}" }}; '
+        f'{other} = {{ column = "{columns[one]}" }}'
+    )
+
+
+def _says_unit(mend: Mend, of: Inputs) -> str:
+    names, f = " and ".join(mend.inputs), mend.factor
+    size = _size(f)
+    signal = mend.inputs[0] in SIGNALS
+    kind = SIGNALS[mend.inputs[0]] if signal else "m^2"
+    pair = next((p for p in SLIPS[kind] if np.isclose(p[0], f, rtol=1e-3)), None)
+    start = f"{names}: values are {size}"
+    if not signal:
+        return f"{start}: correct {names} under [geometry]"
+    if pair is None:
+        return f"{start}: correct the unit under [channels]"
+    _, read, is_ = pair
+    logged = [n for n in mend.inputs if n in of.logged]
+    return (
+        f"{start}, as {is_} read for {read} is: write {_columns(of, logged, unit=is_)}"
+    )
+
+
+def _size(factor: float) -> str:
+    """How far off a value is that is to be multiplied by a factor."""
+    if factor < 1:
+        return f"{1 / factor:.3g} times too large"
+    return f"{factor:.3g} times too small"
+
+
+_SAYS = {"sign": _says_sign, "exchanged": _says_exchanged, "unit": _says_unit}
+
+
+def _percent(factor: float, more: str, less: str) -> str:
+    off = 100 * (1 / factor - 1)
+    return f"{abs(off):.2g} % {more if off > 0 else less}"
+
+
+def of_supply(found: Factor, of: Inputs) -> Finding:
+    """A supply pressure off by a factor."""
+    off = _percent(found.factor, "too high", "too low")
+    if "P_s" in of.logged:
+        mend = (
+            f"multiply its column by {found.factor:.4g} (the gauge's span, or a gauge "
+            "elsewhere than at the valve)"
+        )
+    else:
+        level = text(found.factor * of.spec.line["P_s"], "Pa")
+        mend = f'write [supply] P_s = "{level}"'
+    size = stiffness(of.scaled("P_s", found.factor))
+    return Finding(
+        "P_s", "factor", found.factor, size * found.given, size * found.mended, "Pa",
+        f"P_s is {off}: {mend}",
+    )  # fmt: skip
+
+
+def of_force(found: Factor, of: Inputs) -> Finding:
+    """An area, a gauge or the load cell off by a factor."""
+    name, f = found.input, found.factor
+    geometry = of.spec.geometry
+    if name in geometry:
+        line = f'write [geometry] {name} = "{text(f * geometry[name], "m^2")}"'
+        gauge = {"area": "both pressures", "area_1": "P_a1", "area_2": "P_a2"}[name]
+        says = (
+            f"{name} is {_percent(f, 'too large', 'too small')}: {line}; or, as these "
+            f"logs cannot tell, F is {_percent(1 / f, 'too large', 'too small')} "
+            f"(effect loadcell_gain), or {gauge} {_percent(f, 'too high', 'too low')}"
+        )
+    elif name == "F":
+        says = (
+            f"F is {_percent(1 / f, 'too large', 'too small')} (effect loadcell_gain): "
+            f"divide its column by {f:.4g}; or, as these logs cannot tell, both areas "
+            f"are {_percent(f, 'too large', 'too small')}"
+        )
+        f = 1 / f
+    else:
+        says = (
+            f"{name} is {_percent(f, 'too high', 'too low')}: multiply its column by "
+            f"{f:.4g} (the gauge's span)"
+        )
+    return Finding(name, "factor", f, found.given, found.mended, "N", says)
+
+
+def of_left_out(
+    out: LeftOut, unit: str, scale: float, known: Mapping[str, Spec], of: Inputs
+) -> Finding:
+    """Constants that the rig file leaves out."""
+    lines = [
+        f"{n} = {_entry(v, known[n], of.spec.command_unit)}"
+        for n, v in out.values.items()
+    ]
+    names = ", ".join(out.values)
+    return Finding(
+        names, "left out", None, scale * out.given, scale * out.mended, unit,
+        f"{names} stand at defaults that these logs contradict, as the rig file leaves "
+        f"them out: write [parameters] {'; '.join(lines)}",
+    )  # fmt: skip
+
+
+def _entry(value: float, spec: Spec, command: str) -> str:
+    """A parameter with a range about a value."""
+    unit = units.with_command(spec.unit, command)
+    ends = (-4 * abs(value), 4 * abs(value))
+    if spec.lower >= 0:
+        ends = (value / 10 if spec.lower > 0 else 0.0, 10 * abs(value))
+    low, high = (min(max(e, spec.lower), spec.upper) for e in ends)
+    start = min(max(value, spec.lower), spec.upper)
+    own = [json.dumps(text(float(f"{v:.3g}"), unit)) for v in (start, low, high)]
+    return f"{{ start = {own[0]}, range = [{own[1]}, {own[2]}] }}"
+
+
+def of_noise(of: Inputs, noise: Mapping[str, float]) -> list[Finding]:
+    """Stated noise that the logs contradict; `noise` is theirs, by channel, SI."""
+    out = []
+    for name, stated in of.spec.sensors.items():
+        ratio = noise.get(name, stated) / stated
+        if name not in noise or NOISE[0] < ratio < NOISE[1]:
+            continue
+        unit = units.with_command(SIGNALS[name], of.spec.command_unit)
+        line = f'[sensors] {name} = "{text(float(f"{noise[name]:.3g}"), unit)}"'
+        size = (
+            f"{1 / ratio:.3g} times too large"
+            if ratio < 1
+            else f"{ratio:.3g} times too small"
+        )
+        filtered = ", unless the channel was smoothed" if ratio < 1 else ""
+        says = f"the noise stated for {name} is {size}{filtered}: write {line}"
+        out.append(Finding(name, "noise", ratio, None, None, unit, says))
+    return out
+
+
+def of_sensors(channels: pd.DataFrame) -> list[Finding]:
+    """Readings that no sound sensor gives."""
+    out = []
+
+    def add(name: str, what: str, says: str) -> None:
+        out.append(Finding(name, what, None, None, None, "", says))
+
+    for name in (n for n in SENSORS if n in channels.index):
+        own = channels.loc[name]
+        if own.high > own.low and own.stuck > STUCK and own.repeated < 0.5:
+            add(name, "stuck", f"{name} stands at one reading for {own.stuck:.2g} s: "
+                "leave these cells empty, or take the column out")  # fmt: skip
+        if own.at_ends > CLIPPED and own.repeated < 0.5:
+            add(name, "clipped", f"{name} stands at the end of its range for "
+                f"{100 * own.at_ends:.2g} % of the time: leave these cells empty, or "
+                "use a sensor of a wider range")  # fmt: skip
+        if own.below_vacuum > CLIPPED:
+            add(name, "vacuum", f"{name} is below {VACUUM / 1e3:.0f} kPa for "
+                f"{100 * own.below_vacuum:.2g} % of the time, as no oil can be: "
+                "check its zero and its sign")  # fmt: skip
+    return out

@@ -1,0 +1,107 @@
+"""Inputs that lie, on logs of the independent plant: called by name."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hydrojax as hj
+from benchmarks.trace.lies import lies_of, named
+
+TRIED = (
+    "area -2%", "P_s -10%", "psi turned round", "P_a1 turned round",
+    "pressures exchanged", "degrees for radians", "MPa for bar", "kN for N",
+    "noise of F x10", "noise of P_a1 x0.1", "valve left out", "friction left out",
+)  # fmt: skip
+"""Of all that `benchmarks.trace.lies` tells: each kind once."""
+TOLD = {lie.name: lie for lie in lies_of("pull-pull", "psi")}
+
+
+@pytest.fixture(scope="module")
+def honest(recorded):
+    folder = recorded(1)
+    rig = hj.RigFile.load(folder / "rig.toml")
+    logs = [hj.Log.load(folder / f"fit_{i}.csv", rig.channels) for i in (1, 2)]
+    return rig, logs
+
+
+def test_an_honest_rig_is_left_alone(honest):
+    found = hj.check(*honest)
+    assert found.found == ()
+    assert set(found.inputs.verdict) == {"plausible"}
+    assert "No input looks wrong" in found.summary()
+
+
+@pytest.mark.parametrize("name", TRIED)
+def test_a_lie_is_called_by_its_name(honest, name):
+    rig, logs = honest
+    text, lied = TOLD[name].told(rig.text, logs)
+    found = hj.check(hj.RigFile.from_text(text), lied)
+    assert named(found, TOLD[name]), found.summary()
+
+
+@pytest.mark.parametrize("name", ["area +2%", "P_s +10%", "F turned round"])
+def test_the_mend_is_the_lie_undone(honest, name):
+    """The factor that is said takes the lie back."""
+    rig, logs = honest
+    text, lied = TOLD[name].told(rig.text, logs)
+    first = hj.check(hj.RigFile.from_text(text), lied).found[0]
+    true = {"area +2%": 1 / 1.02, "P_s +10%": 1 / 1.1, "F turned round": -1.0}[name]
+    assert first.factor == pytest.approx(true, rel=5e-3)
+    assert first.error is not None and first.error_if_mended is not None
+    assert first.error_if_mended < 0.8 * first.error
+
+
+def test_an_area_is_named_with_its_alias(honest):
+    rig, logs = honest
+    text, lied = TOLD["area +2%"].told(rig.text, logs)
+    says = hj.check(hj.RigFile.from_text(text), lied).found[0].says
+    assert "loadcell_gain" in says and "[geometry] area = " in says
+
+
+def test_the_line_that_is_said_mends_the_rig_file(honest):
+    rig, logs = honest
+    text = rig.text + '\n[channels]\nF = { column = "F", invert = true }\n'
+    turned = hj.RigFile.from_text(text)
+    lied = [replace(g, signals=g.signals | {"F": -g.signals["F"]}) for g in logs]
+    lied = [replace(g, channels=dict(turned.channels)) for g in lied]
+    says = hj.check(turned, lied).found[0].says
+    assert 'F = { column = "F", invert = false }' in says
+
+
+def test_a_sensor_that_stands_and_one_that_clips(honest):
+    rig, (log, other) = honest
+    F, P = log.signals["F"].copy(), log.signals["P_a1"].copy()
+    F[3000:3300] = F[3000]
+    P = np.minimum(P, np.quantile(P, 0.98))
+    bad = replace(log, signals=log.signals | {"F": F, "P_a1": P})
+    found = hj.check(rig, [bad, other]).findings
+    said = set(zip(found.input, found.finding, strict=True))
+    assert {("F", "stuck"), ("P_a1", "clipped")} <= said
+
+
+def test_what_is_written(honest, tmp_path):
+    rig, logs = honest
+    text, lied = TOLD["u turned round"].told(rig.text, logs)
+    found = hj.check(hj.RigFile.from_text(text), lied)
+    found.save(tmp_path)
+    own = json.loads((tmp_path / "check.json").read_text())
+    (first, *_) = own["inputs"]
+    assert (first["input"], first["finding"], first["factor"]) == ("u", "sign", -1.0)
+    assert {"error_if_mended", "says"} <= set(first)
+    assert own["channels"]["P_a1"]["noise"] == pytest.approx(9e3, rel=0.15)
+    assert own["logs"]["fit_1.csv"]["rate"] == pytest.approx(1e3)
+    page = (tmp_path / "check.html").read_text()
+    assert "u runs against" in page and "data:image/png" in page
+
+
+def test_the_command(recorded, call, tmp_path):
+    folder = recorded(1)
+    ran = call("check", folder / "rig.toml", folder / "fit_1.csv", "--out", tmp_path)
+    assert ran.code == 0 and "No input looks wrong" in ran.out
+    assert (tmp_path / "check.html").exists()
+    missing = call("check", folder / "rig.toml", folder / "none.csv")
+    assert missing.code == 2 and missing.err.count("\n") == 1
