@@ -30,7 +30,7 @@ from hydrojax.identify.results.parts import (
 from hydrojax.identify.results.unexplained import extrapolation, unexplained
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
-from hydrojax.identify.tracing.state import Tracing
+from hydrojax.identify.tracing.state import Tracing, strengths
 from hydrojax.rigfile.schema import SUPPLY
 
 if TYPE_CHECKING:
@@ -67,7 +67,10 @@ def summarise(
         validate_logs=tuple(log.name for log in case.check_logs),
         test_logs=tuple(log.name for log in case.test_logs),
         verdict=verdict,
-        sentence=_sentence(command, verdict, effects, left, case.held_out, needed),
+        sentence=_with_ends(
+            _sentence(command, verdict, effects, left, case.held_out, needed),
+            _at_ends(state, uncertainty),
+        ),
         parameters=parameters_of(case, state, uncertainty),
         channels=channels,
         effects=effects,
@@ -228,6 +231,25 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
             )  # fmt: skip
         )
     return tuple(sorted(out, key=lambda c: (c.status != "added", -c.share)))
+
+
+def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
+    """Free parameters that stand at an end of their range; not what is absent there."""
+    absent = {n for a in state.added for n in strengths(state.effects[a.name])}
+    absent = {n for n in absent if state.named[n] == 0.0}
+    return tuple(n for n in state.free if n in uncertainty.ends and n not in absent)
+
+
+def _with_ends(sentence: str, ends: tuple[str, ...]) -> str:
+    """The sentence, and in it what cannot be taken for an estimate."""
+    if not ends:
+        return sentence
+    stand = (
+        "stands at an end of its range"
+        if len(ends) == 1
+        else ("stand at an end of their ranges")
+    )
+    return f"{sentence.removesuffix('.')}, but {' and '.join(ends)} {stand}."
 
 
 def _sentence(

@@ -199,9 +199,8 @@ class Criteria:
     """Permutations of a signal's windows that give the p-value, count: its least value
     is 0.01."""
     line: float = 12.0
-    """Height of a spectral line over the spectrum around it to be named, 1; it must also
-    stand out at `level`.
-    `benchmarks.trace`."""
+    """Height of a spectral line over the spectrum around it to be named, 1; it must
+    stand out at `level` too. `benchmarks.trace`."""
     needed: float = 0.1
     """Share of the fall of the validation error that a parameter's change must give
     back for the verdict to wait on that parameter, 1. `benchmarks.trace`."""
