@@ -31,10 +31,10 @@ class Score:
         left: chi-square before the step.
         power_at_noise: the power were the residual at its noise.
         shape: the values of its shape at which it was scored.
+        by_window: the windows' scores, of which the test is the sum.
         starts: values of all parameters from which it may be fitted where its strength
             is far from zero, the best first.
         far: whether the gain is that of the first of these.
-        by_window: the windows' scores, of which the test is the sum.
     """
 
     name: str
@@ -45,11 +45,11 @@ class Score:
     left: float
     power_at_noise: float
     shape: Mapping[str, float] = field(default_factory=dict)
-    starts: tuple[Float[np.ndarray, "n"], ...] = ()
-    far: bool = False
     by_window: Float[np.ndarray, "windows columns"] = field(
         default_factory=lambda: np.zeros((0, 0))
     )
+    starts: tuple[Float[np.ndarray, "n"], ...] = ()
+    far: bool = False
 
     @property
     def share(self) -> float:

@@ -28,6 +28,7 @@ CASES = {
     "force_ripple": (7, {"force_ripple": {"force": 60.0, "frequency": 13.0}}),
     "late_film": (8, {"frictional_lag": {"tau_h": 0.15}}),
     "wide_stribeck": (9, {"stribeck": {"k_st": 300.0, "v_s": 0.01}}),
+    "late_command": (24, {"valve_delay": {"tau_u": 12e-3}}),
     "soft_rod": (23, {"rod_compliance": {"k": 5e6}}),
 }
 """Seed and effects of each case."""
@@ -96,7 +97,9 @@ def test_an_effect_is_named_and_measured(traced, name):
     assert name in outcome.sentence
 
 
-@pytest.mark.parametrize("name", ["late_film", "wide_stribeck", "soft_rod"])
+@pytest.mark.parametrize(
+    "name", ["late_film", "wide_stribeck", "soft_rod", "late_command"]
+)
 def test_an_effect_is_named_that_lies_far_from_where_it_is_absent(traced, name):
     """What a film does that comes 0.15 s late is not foreseen by its slope at none; and
     a Stribeck curve as wide as the speeds in use is first taken for k_v. A rod three
