@@ -19,8 +19,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
+from hydrojax.plant.chambers import filled
 from hydrojax.plant.effect import CommandDelay
 from hydrojax.plant.friction import Sliding, run_linear
+from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.rig import PARTS, Rig, mean_opening
 from hydrojax.plant.state import StepInput
 
@@ -207,8 +209,8 @@ def pressures(
         memory, P = carry
         goal, inputs = at
         memory, opening = _through(rig, memory, goal, inputs.h)
-        P = rig.pressure_step(P, opening, inputs)
-        return (memory, P), P
+        P = pressure_step(rig, P, opening, inputs)
+        return (memory, P), (filled(P[0]), filled(P[1]))
 
     memory = rig.command_init(ahead[0][0][..., 0])
     memory, _ = jax.lax.scan(warm, memory, ahead)
