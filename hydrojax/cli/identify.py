@@ -162,7 +162,8 @@ def _finish(result: Result, out: Path) -> None:
             else ""
         )
         console.print(f"{effect.name}: {found}{alike}", markup=False)
-    for line in (*outcome.limits, *outcome.notes):
+    says = (f"{f.input}: {f.says}" for f in outcome.inputs[1:])
+    for line in (*says, *outcome.limits, *outcome.notes):
         console.print(f"- {line}", markup=False)
     spent = outcome.seconds
     console.print(
