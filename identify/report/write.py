@@ -214,7 +214,7 @@ def _loop_said(outcome: Outcome) -> tuple[str, str]:
         "The log's desired force in the simulated loop: the identified rig, the "
         "paper's law with the rig file's [controller]; motion and supply are the "
         "log's. The "
-        f"liveliest {residuals.LOOP_SECONDS:g} s.",
+        f"{residuals.LOOP_SECONDS:g} s of the largest variation.",
     )
 
 

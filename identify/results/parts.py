@@ -24,6 +24,7 @@ from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log
 from hydrojax.parameters import Spec, get, parameter_specs, put
+from hydrojax.plant.places import hydraulic_names
 from hydrojax.rigfile.build import build_loop, build_rig, inverts
 from hydrojax.rigfile.edit import identified
 from hydrojax.rigfile.recording import longest, rerun
@@ -72,9 +73,15 @@ def parameter_of(
 def parameters_of(
     case: Case, state: Tracing, uncertainty: Uncertainty
 ) -> dict[str, Parameter]:
-    """Base parameters and those of effects that the rig file declares."""
-    out = {}
-    for name, spec in parameter_specs(state.problem.model.rig).items():
+    """Base parameters and those of effects that the rig file declares.
+
+    Without a valve the chambers do not take part, and are left out.
+    """
+    rig, out = state.problem.model.rig, {}
+    unused = frozenset() if case.spec.layout.has_valve else hydraulic_names(rig)
+    for name, spec in parameter_specs(rig).items():
+        if name in unused:
+            continue
         effect = name.split(".")[0] if "." in name else None
         if effect is None or effect in case.spec.effects:
             shown, p = parameter_of(name, case, state, uncertainty, spec)

@@ -222,7 +222,7 @@ WHY = {
     "too small": "lowers the validation error, by too little to matter",
     "does not help": "does not lower the validation error beyond chance",
     "explains too little": "leaves most of what stands above the noise",
-    "needless": "was added first, and made needless by what was added later",
+    "needless": "was added first, and made unnecessary by what was added later",
 }
 
 
