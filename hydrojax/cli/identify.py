@@ -173,5 +173,6 @@ def print_outcome(outcome: Outcome) -> None:
             else ""
         )
         console.print(f"{effect.name}: {found}{alike}", markup=False)
-    for line in (*outcome.limits, *outcome.notes):
+    says = (f"{f.input}: {f.says}" for f in outcome.inputs[1:])
+    for line in (*says, *outcome.limits, *outcome.notes):
         console.print(f"- {line}", markup=False)

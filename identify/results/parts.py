@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -88,6 +89,22 @@ def parameters_of(
     return out
 
 
+ALIASES: Mapping[str, tuple[str, ...]] = {
+    "loadcell_gain": ("area", "area_1", "area_2"),
+    "dead_volume": ("delta_1", "delta_2"),
+    "viscous_friction": ("k_vp", "k_vn"),
+}
+"""Constants of a rig file with which an effect is exactly the same: a load cell's gain
+with the areas, what stands beside a chamber with its length, friction with speed."""
+
+
+def aliases(effect: str, spec: RigFile) -> tuple[str, ...]:
+    """The constants that a rig file holds, and an effect is exactly the same as."""
+    held = {n for n, e in spec.parameters.items() if e.range is None}
+    held |= set(spec.geometry)
+    return tuple(n for n in ALIASES.get(effect, ()) if n in held)
+
+
 def named_effects(
     case: Case,
     state: Tracing,
@@ -115,7 +132,10 @@ def named_effects(
                 p_value=added.p_value,
                 before={CHANNELS[c]: float(ends[i][c]) for c in seen},
                 after={CHANNELS[c]: float(ends[i + 1][c]) for c in seen},
-                cannot_tell_from=added.cannot_tell_from,
+                cannot_tell_from=(
+                    *added.cannot_tell_from,
+                    *aliases(added.name, case.spec),
+                ),
                 residual_axis=EFFECTS[added.name].residual_axis,
             )
         )
