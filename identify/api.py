@@ -12,9 +12,9 @@ import jax
 import numpy as np
 
 from hydrojax.effects import EFFECTS
-from hydrojax.effects.valve import QUEUE
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
+from hydrojax.identify.checking.check import check_inputs
 from hydrojax.identify.estimation.fit import (
     FitPoint,
     fit_force,
@@ -33,7 +33,7 @@ from hydrojax.identify.inference.profile import profiles
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
-from hydrojax.identify.results.summary import summarise
+from hydrojax.identify.results.summary import summarise, with_inputs
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
@@ -72,11 +72,6 @@ def _problems(
     known = dict(free)
     for name in candidates:
         known |= free_effect(name, specs(effects[name]))
-    if "valve_delay.tau_u" in known:
-        # A delay reaches no further back than its queue, which counts in ticks.
-        reach = (QUEUE - 1) * float(np.min(case.fit.windows.h))
-        f = known["valve_delay.tau_u"]
-        known["valve_delay.tau_u"] = replace(f, upper=min(f.upper, reach))
     problem = Problem.of(rig, free, case.fit, case.criteria)
     check = Problem.of(rig, free, case.check, case.criteria)
     use = in_play(problem, case.fit)
@@ -137,10 +132,13 @@ def identify(
     With `profile`, intervals by profile likelihood too: many refits.
     """
     began, compiled = time.perf_counter(), _Compiling()
+    progress("check the inputs")
+    inputs = check_inputs(case.spec, case.read_logs).found
     state = fit_case(case, starts, progress)
-    return _outcome(
+    found = _outcome(
         "identify", case, state, state.point, began, compiled, progress, profile
     )
+    return with_inputs(found, inputs)
 
 
 def trace_case(
@@ -161,6 +159,7 @@ def trace_case(
             pool.submit(check.errors_at, values),
             pool.submit(problem.sums_at, values),
         ]
+        inputs = pool.submit(check_inputs, case.spec, case.read_logs)
         early, values, done, point = _fit_base(
             problem, free, starts, progress, case.spec.path
         )
@@ -175,7 +174,8 @@ def trace_case(
         progress,
     )
     state = search_effects(start)
-    return _outcome("trace", case, state, point, began, compiled, progress, profile)
+    found = _outcome("trace", case, state, point, began, compiled, progress, profile)
+    return with_inputs(found, inputs.result().found)
 
 
 class _Compiling:

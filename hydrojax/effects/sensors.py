@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.parameters import param
+from hydrojax.parameters import param, spread
 from hydrojax.plant.effect import SensorChannel
 
 
@@ -39,7 +39,14 @@ class LoadcellLag(_Lag):
     needs = ("loadcell",)
     residual_axis = "F_rate"
     tau_F: Float[Array, ""] = param(
-        "s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4
+        "s",
+        0.0,
+        0.0,
+        0.1,
+        "time constant",
+        strength=True,
+        size=5e-4,
+        grid=spread(2e-3, 0.1, 5),
     )
 
     def lag(self):
@@ -72,7 +79,14 @@ class PressureSensorLag(_Lag):
     needs = ("u", "P_a1", "P_a2")
     residual_axis = "P_rate"
     tau_P: Float[Array, ""] = param(
-        "s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4
+        "s",
+        0.0,
+        0.0,
+        0.1,
+        "time constant",
+        strength=True,
+        size=5e-4,
+        grid=spread(2e-3, 0.1, 5),
     )
 
     def lag(self):
@@ -142,8 +156,8 @@ class _Offset(SensorChannel):
 class PressureSensorBias(SensorChannel):
     """Constant error of each pressure sensor (S4): `P_m = P + b`.
 
-    A bias shifts the drive force as `k_0` does and the flows hardly, so few logs tell
-    it from the base model's own parameters.
+    A bias shifts the drive force as `k_0` does and the flows hardly, so few logs
+    distinguish it from the base model's own parameters.
     """
 
     name = "pressure_sensor_bias"
@@ -180,7 +194,14 @@ class ChannelSkew(SensorChannel):
     residual_axis = "F_rate"
     counts_ticks = True
     tau_s: Float[Array, ""] = param(
-        "s", 0.0, -3e-3, 3e-3, "F logged ahead of its time", strength=True, size=2e-4
+        "s",
+        0.0,
+        -3e-3,
+        3e-3,
+        "F logged ahead of its time",
+        strength=True,
+        size=2e-4,
+        grid=(-3e-3, -1.5e-3, 1.5e-3, 3e-3),
     )
 
     def init(self, y, slope):

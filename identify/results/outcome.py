@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.tracing.criteria import Criteria
 
 
@@ -45,7 +46,8 @@ class Errors:
 @dataclass(frozen=True)
 class ChannelErrors:
     """Error of one channel, RMS, SI: on the test logs where there are any, and then
-    that on the validation logs is `validate`; else on the validation logs.
+    that on the validation logs is `validate`; else on the validation logs, or on the
+    fitted ones where there are none of either.
     """
 
     unit: str
@@ -177,8 +179,9 @@ class Outcome:
     `verdict` is "nothing missing", "explained" or "unknown"; `sentence` says it.
     `limits` are sentences on what is at a range's end or not identified. `rig_file` is
     the rig file with the identified values and the effects found; `values` are
-    all parameters by name, SI, as stored; `criteria` the
-    thresholds that decided.
+    all parameters by name, SI, as stored; `criteria` the thresholds that decided;
+    `inputs` what looks wrong with rig file and logs. `validate_logs` are empty where
+    none were given: errors are then those of the fitted logs.
     """
 
     command: str
@@ -202,6 +205,7 @@ class Outcome:
     test_logs: tuple[str, ...] = ()
     values: dict[str, float] = field(default_factory=dict)
     criteria: Criteria = Criteria()
+    inputs: tuple[Finding, ...] = ()
 
 
 FORMAT = "hydrojax-report/1"
@@ -228,6 +232,7 @@ def report_json(outcome: Outcome) -> dict[str, Any]:
         "unexplained": [_unexplained(u) for u in o.unexplained],
         "closed_loop": [_loop(c) for c in o.loops],
         "covariance": asdict(o.covariance) if o.covariance else None,
+        "inputs": [asdict(f) for f in o.inputs],
         "limits": o.limits,
         "notes": o.notes,
         "seconds": o.seconds,
