@@ -1,15 +1,20 @@
 """Effects of working machines' valves and loggers, against closed forms and scipy."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import TransferFunction, lsim
 
-from hydrojax.effects import EFFECTS
+from hydrojax.effects import EFFECTS as KNOWN
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.rig import add, bare_rig
+
+EFFECTS: dict[str, Any] = KNOWN
+"""Each class with the method of its own place."""
 
 GEOMETRY = {"area_1": 4.3e-3, "area_2": 6.4e-3, "chamber_length": 0.6}
 P_S, P_R, C = 18e6, 0.2e6, 2.2e-9
