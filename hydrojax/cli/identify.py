@@ -137,18 +137,20 @@ def demo(out: Out = Path("hydrojax-demo")) -> None:
 
 def _finish(result: Result, out: Path) -> None:
     """Write the report and print its summary."""
+    from hydrojax.identify.results.outcome import skill_text
     from hydrojax.report.text import quantity_text
 
     outcome = result.outcome
     result.save(out)
     console.print(outcome.verdict, style="bold", end="  ")
     console.print(f"{outcome.sentence}\n", markup=False)
-    table = Table("channel", "noise", "before", "after", "after / noise")
+    table = Table("channel", "noise", "before", "after", "after / noise", "skill")
     for name, c in outcome.channels.items():
         table.add_row(
             name,
             *(quantity_text(v, c.unit) for v in (c.noise, c.before, c.after)),
             f"{c.after / c.noise:.3f}",
+            skill_text(c.window),
         )
     console.print(table)
     for effect in outcome.effects:

@@ -43,9 +43,42 @@ class Errors:
 
 
 @dataclass(frozen=True)
+class Horizon:
+    """RMS error of one channel over runs of one length, SI; None where a run does not
+    stay finite.
+
+    Attributes:
+        before: of the declared model.
+        after: of the final model.
+        held: of the value measured as each run began.
+        arx: of a linear ARX model of order 4 with the same inputs, fitted by least
+            squares to the fitted logs and simulated.
+    """
+
+    before: float | None
+    after: float | None
+    held: float
+    arx: float | None
+
+    @property
+    def skill(self) -> float | None:
+        """1 - (after / held)^2: 1 is perfect, 0 no better than the held value."""
+        if self.after is None or self.held == 0.0:
+            return None
+        return 1.0 - (self.after / self.held) ** 2
+
+
+def skill_text(h: Horizon | None) -> str:
+    """A skill to three decimals, or a dash where there is none."""
+    return "–" if h is None or h.skill is None else f"{h.skill:.3f}"
+
+
+@dataclass(frozen=True)
 class ChannelErrors:
     """Error of one channel, RMS, SI: on the test logs where there are any, and then
     that on the validation logs is `validate`; else on the validation logs.
+
+    `horizons` are errors by length of the run: "0.25", "1", "5" (seconds), "free".
     """
 
     unit: str
@@ -53,12 +86,19 @@ class ChannelErrors:
     before: float
     after: float
     validate: Errors | None = None
+    horizons: Mapping[str, Horizon] = field(default_factory=dict)
+
+    @property
+    def window(self) -> Horizon | None:
+        """That of single windows, which `before` and `after` are of too."""
+        return next(iter(self.horizons.values()), None)
 
 
 @dataclass(frozen=True)
 class FoundEffect:
     """An effect that was named; `parameters` by their own names; errors by channel, on
-    the validation logs.
+    the validation logs. `share` is the part that it takes of the excess over the noise,
+    in squares, of all channels in units of their noise.
     """
 
     name: str
@@ -68,6 +108,7 @@ class FoundEffect:
     after: dict[str, float]
     cannot_tell_from: tuple[str, ...]
     residual_axis: str
+    share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -203,6 +244,25 @@ class Outcome:
     values: dict[str, float] = field(default_factory=dict)
     criteria: Criteria = Criteria()
 
+    @property
+    def explained_share(self) -> float | None:
+        """The part that all effects together take of the excess over the noise, in
+        squares; None where there was no excess.
+        """
+        ends = [(c.validate or c, c.noise) for c in self.channels.values()]
+        excess = sum(excess_of(e.before, noise) for e, noise in ends)
+        rest = sum(excess_of(e.after, noise) for e, noise in ends)
+        if not excess or self.command == "identify":
+            return None
+        return min(max(1.0 - rest / excess, 0.0), 1.0)
+
+
+def excess_of(rms: float, noise: float) -> float:
+    """The part of a mean square error that noise does not account for, over the
+    noise's.
+    """
+    return max((rms / noise) ** 2 - 1.0, 0.0)
+
 
 FORMAT = "hydrojax-report/1"
 
@@ -221,6 +281,7 @@ def report_json(outcome: Outcome) -> dict[str, Any]:
         },
         "verdict": o.verdict,
         "sentence": o.sentence,
+        "explained_share": o.explained_share,
         "parameters": {n: _parameter(p) for n, p in o.parameters.items()},
         "channels": {n: _channel(c) for n, c in o.channels.items()},
         "effects": [_effect(e) for e in o.effects],
@@ -262,12 +323,17 @@ def _effect(e: FoundEffect) -> dict[str, Any]:
         "after": e.after,
         "cannot_tell_from": e.cannot_tell_from,
         "betrayed_by": e.residual_axis,
+        "share": e.share,
     }
 
 
 def _channel(c: ChannelErrors) -> dict[str, Any]:
     own = asdict(c)
-    return own if c.validate else {k: v for k, v in own.items() if k != "validate"}
+    if c.validate is None:
+        del own["validate"]
+    if c.window:
+        own |= {"held": c.window.held, "skill": c.window.skill}
+    return own
 
 
 def _unexplained(u: Unexplained) -> dict[str, Any]:

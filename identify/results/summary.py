@@ -12,6 +12,7 @@ from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
+from hydrojax.identify.results.horizons import horizons_of
 from hydrojax.identify.results.outcome import (
     Candidate,
     ChannelErrors,
@@ -101,10 +102,12 @@ def _channels(
     """Errors at the values `ends` [n]: of the test logs where there are any, with those
     of the validation logs, which are `errors` [3], beside them.
     """
-    own = errors
+    own, judged = errors, state.check
     if case.test is not None:
-        tested = replace(state.check, batch=batch_of(case.test))
-        own = tuple(_rms(tested.residuals_at(values)) for values in ends)
+        judged = replace(state.check, batch=batch_of(case.test))
+        own = tuple(_rms(judged.residuals_at(values)) for values in ends)
+    length = case.preparation.horizon
+    horizons = horizons_of(state.problem, judged, ends, length)
     out = {}
     for c in seen:
         beside = Errors(float(errors[0][c]), float(errors[1][c]))
@@ -114,6 +117,7 @@ def _channels(
             float(own[0][c]),
             float(own[1][c]),
             None if case.test is None else beside,
+            horizons[CHANNELS[c]],
         )
     return out
 
