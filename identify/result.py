@@ -75,8 +75,8 @@ class Result:
 
         Columns: `unit`, `noise` (standard deviation), `before` (with the declared
         model), `after` (with the final one), `ratio` (`after` over `noise`), `held` (of
-        the value measured as each window began) and `skill`, 1 - (after / held)^2. They are
-        of the test logs where there are any, with `validate_before` and
+        the value measured as each window began) and `skill`, 1 - (after / held)^2. They
+        are of the test logs where there are any, with `validate_before` and
         `validate_after` beside them; else of the validation logs.
         """
         rows = {}

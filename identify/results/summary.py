@@ -32,6 +32,7 @@ from hydrojax.identify.results.unexplained import extrapolation, unexplained
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.state import Tracing
+from hydrojax.report.text import quantity_text
 from hydrojax.rigfile.schema import SUPPLY
 
 if TYPE_CHECKING:
@@ -68,7 +69,8 @@ def summarise(
         validate_logs=tuple(log.name for log in case.check_logs),
         test_logs=tuple(log.name for log in case.test_logs),
         verdict=verdict,
-        sentence=_sentence(command, verdict, effects, left, case.held_out, needed),
+        sentence=_without_skill(channels, state.criteria.at_noise)
+        + _sentence(command, verdict, effects, left, case.held_out, needed),
         parameters=parameters_of(case, state, uncertainty),
         channels=channels,
         effects=effects,
@@ -232,6 +234,25 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
     return tuple(sorted(out, key=lambda c: (c.status != "added", -c.share)))
 
 
+def _without_skill(channels: Mapping[str, ChannelErrors], at_noise: float) -> str:
+    """What is said first of channels above their noise that the model predicts no
+    better than the value held from the start of each window; empty without one.
+    """
+    poor = [
+        f"{name} ({quantity_text(c.after, c.unit, figures=3)} RMS) no better than its "
+        f"value held from the start of each window "
+        f"({quantity_text(c.window.held, c.unit, figures=3)})"
+        for name, c in channels.items()
+        if c.after > at_noise * c.noise
+        and c.window is not None
+        and c.window.skill is not None
+        and c.window.skill <= 0.0
+    ]
+    if not poor:
+        return ""
+    return f"The model has no skill: it predicts {' and '.join(poor)}. "
+
+
 def _sentence(
     command: str,
     verdict: str,
@@ -250,7 +271,9 @@ def _sentence(
             "at its noise."
         )
     channels = " and ".join(u.channel for u in left)
-    start = f"{names} was found and added, but " if names else ""
+    share = sum(e.share for e in effects)
+    taken = f"takes away {100 * share:.2g} % of the squared error above the noise"
+    start = f"{names} was found and added and {taken}, but " if names else ""
     rest = "; ".join(u.description for u in left)
     if needed:
         return (

@@ -23,8 +23,8 @@ from hydrojax.identify.results.outcome import (
     Parameter,
     Series,
     Unexplained,
-    report_json,
 )
+from hydrojax.identify.results.report_json import report_json
 from hydrojax.report import files, text
 
 NOISE = {"P_a1": 9e3, "P_a2": 9e3, "F": 2.5}
