@@ -65,7 +65,7 @@ CATALOGUE: Effects = {
     "stribeck": {"k_st": 250.0, "v_s": 5e-3},
     "bristle_damping": {"sigma_1": 3e4},
     "frictional_lag": {"tau_h": 0.03},
-    "pressure_friction": {"a": 0.25},
+    "pressure_friction": {"kappa": 1.9e-5, "kappa_v": 0.0},
     "position_friction": {"a": 0.15, "wavelength": 0.02},
     "friction_drift": {"a": 0.15, "tau": 8.0},
     "payload_inertia": {"m": 15.0},
@@ -216,10 +216,11 @@ def lowpass(y: np.ndarray, rate: float, h: float, start: float) -> np.ndarray:
 
 
 def seal(rig: Rig, e: Effects, t, x, v, z, slow, film, rest) -> tuple:
-    """Coulomb level [N] before its pressure factor, the rest of f_c [N], and L [-].
+    """Coulomb level [N] at no pressure, its growth with it, the rest of f_c [N], L [-].
 
-    Of time [s], place [m], velocity [m/s], bristle [m], filtered speed, the film's
-    speed [m/s] and how long the piston has stood still; numbers or arrays.
+    The growth is in N/Pa. Of time [s], place [m], velocity [m/s], bristle [m], filtered
+    speed, the film's speed [m/s] and how long the piston has stood still; numbers or
+    arrays.
     """
     extra = e["stribeck"]["k_st"] * np.exp(-((film / e["stribeck"]["v_s"]) ** 2))
     level = np.where(z > 0, rig["k_cp"], rig["k_cn"]) + extra
@@ -233,7 +234,9 @@ def seal(rig: Rig, e: Effects, t, x, v, z, slow, film, rest) -> tuple:
     others = others + e["quadratic_drag"]["c"] * seen * np.abs(seen)
     rate = v - np.abs(v) * z / rig["z_ss"]
     others = others + e["bristle_damping"]["sigma_1"] * rate
-    return level, others, 1 / (1 + (L_SLOPE * slow) ** 3)
+    grows = e["pressure_friction"]
+    growth = grows["kappa"] + grows["kappa_v"] * film
+    return level, growth, others, 1 / (1 + (L_SLOPE * slow) ** 3)
 
 
 def standing(e: Effects, v: np.ndarray) -> np.ndarray:
@@ -245,7 +248,7 @@ def standing(e: Effects, v: np.ndarray) -> np.ndarray:
 def friction(rig: Rig, e: Effects, t, x, v) -> tuple[np.ndarray, ...]:
     """The parts of (3) and (7) that motion alone decides, at each tick.
 
-    Coulomb force [N] before its pressure factor, the rest of f_c [N], and L [-].
+    Coulomb force [N] at no pressure and its growth [N/Pa], the rest of f_c [N], and L.
     `x` [m] and `v` [m/s] are on the fine grid, `t` [s] at the ticks.
     """
     z, speed = bristle(x, rig["z_ss"]), np.abs(v)
@@ -254,8 +257,9 @@ def friction(rig: Rig, e: Effects, t, x, v) -> tuple[np.ndarray, ...]:
     if tau_h:
         film = lowpass(speed, 1 / tau_h, STEP, speed[0])
     x, v, film = x[::SUBSTEPS], v[::SUBSTEPS], film[::SUBSTEPS]
-    level, *rest = seal(rig, e, t, x, v, z, slow, film, standing(e, v))
-    return np.clip(z / rig["z_ss"], -1, 1) * level, *rest
+    level, growth, *rest = seal(rig, e, t, x, v, z, slow, film, standing(e, v))
+    turn = np.clip(z / rig["z_ss"], -1, 1)
+    return turn * level, turn * growth, *rest
 
 
 def piston_force(drive: float, k_p: float, k_n: float, delta: float) -> float:
@@ -325,15 +329,15 @@ class Soft:
     from `friction`, grows by one row a tick.
     """
 
-    def __init__(self, rig: Rig, e: Effects, t, x, v, p_s):
+    def __init__(self, rig: Rig, e: Effects, t, x, v):
         self.rig, self.e, self.rates = rig, e, pressure_rates(rig, e)
         self.t, self.x, self.v = t.tolist(), x[::SUBSTEPS].tolist(), v[::SUBSTEPS]
-        self.dx, self.p_s = np.diff(x).tolist(), p_s.tolist()
+        self.dx = np.diff(x).tolist()
         self.rest = standing(e, self.v)
         self.z = self.slow = 0.0
         self.film = abs(float(self.v[0]))
         self.now = self.seal(0, float(self.v[0]))
-        self.parts: tuple[list, ...] = ([0.0], [self.now[1]], [self.now[2]])
+        self.parts: tuple[list, ...] = ([0.0], [0.0], *([p] for p in self.now[2:]))
 
     def start(self, force: float) -> None:
         """At rest under the piston's force [N]."""
@@ -347,7 +351,7 @@ class Soft:
         return force / self.e["rod_compliance"]["k"] + swing
 
     def seal(self, k: int, v: float) -> list[float]:
-        """Level, the rest of f_c and L at tick k, where the piston's speed is v."""
+        """What `seal` returns at tick k, where the piston's speed is v."""
         tau_h = self.e["frictional_lag"]["tau_h"]
         film = self.film if tau_h else abs(v)
         at = (self.t[k], self.x[k], v, self.z, self.slow, film, self.rest[k])
@@ -367,10 +371,11 @@ class Soft:
             pairs = zip(before, self.now, strict=True)
             parts = [a + part * (b - a) for a, b in pairs]
             free = integrate(self.rates, p1, p2, openings[j : j + 1], drive[j : j + 2])
-            p1, p2 = self.settle(free, stiff, parts, k, self.dx[k * SUBSTEPS + j])
-        level, others, ell = self.now
+            p1, p2 = self.settle(free, stiff, parts, self.dx[k * SUBSTEPS + j])
+        level, growth, others, ell = self.now
         turn = max(-1.0, min(1.0, self.z / self.rig["z_ss"]))
-        for column, value in zip(self.parts, (turn * level, others, ell), strict=True):
+        now = (turn * level, turn * growth, others, ell)
+        for column, value in zip(self.parts, now, strict=True):
             column.append(value)
         return p1, p2
 
@@ -382,11 +387,11 @@ class Soft:
         moving = self.rates(p1, p2, opening, p_s, v1, v2, swept + area, pulse)
         return moving[0] - still[0], moving[1] - still[1]
 
-    def settle(self, free, stiff, parts, k, dx) -> tuple[float, float]:
+    def settle(self, free, stiff, parts, dx) -> tuple[float, float]:
         """Pressures [Pa] where the force, the stretch and the bristle agree."""
         rig, z_ss = self.rig, self.rig["z_ss"]
-        level, others, ell = parts
-        rise = self.e["pressure_friction"]["a"] * sum(free) / (2 * self.p_s[k])
+        level, growth, others, ell = parts
+        level += growth * sum(free) / 2
 
         def state(force):
             moved = self.stretch(force) - self.s
@@ -395,7 +400,7 @@ class Soft:
             z = self.z * keep + math.copysign(z_ss * (1 - keep), way)
             p1, p2 = free[0] + stiff[0] * moved, free[1] + stiff[1] * moved
             turn = max(-1.0, min(1.0, z / z_ss))
-            f_c = turn * level * (1 + rise) + others
+            f_c = turn * level + others
             drive = rig["area"] * (p2 - p1) - (1 - ell) * f_c
             k_p, k_n = ell * rig["k_fp"], ell * rig["k_fn"]
             return force - piston_force(drive, k_p, k_n, rig["delta"]), p1, p2, z
@@ -519,18 +524,18 @@ def sensor_lag(tau: float) -> Callable[[float, float, float], float]:
     return lambda m, y0, y1: e * m + (mean - e) * y0 + (1 - mean) * y1
 
 
-def force_at(rig: Rig, e: Effects, parts, given, p_s) -> Callable:
+def force_at(rig: Rig, parts, given) -> Callable:
     """Force [N] at the load cell at tick k from the chamber pressures there.
 
     `parts` are friction's, as lists; `given` [N] is what motion and time add behind
     the piston.
     """
-    coulomb, others, presliding = parts
-    given, p_s, rise = given.tolist(), p_s.tolist(), e["pressure_friction"]["a"]
+    coulomb, growth, others, presliding = parts
+    given = given.tolist()
 
     def force(k: int, p1: float, p2: float) -> float:
         ell = presliding[k]
-        f_c = coulomb[k] * (1 + rise * (p1 + p2) / (2 * p_s[k])) + others[k]
+        f_c = coulomb[k] + growth[k] * (p1 + p2) / 2 + others[k]
         drive = rig["area"] * (p2 - p1) - (1 - ell) * f_c
         k_p, k_n = ell * rig["k_fp"], ell * rig["k_fn"]
         return piston_force(drive, k_p, k_n, rig["delta"]) + given[k]
@@ -581,9 +586,9 @@ def record(
     noise = streams[3].normal(size=(count, 4)) * [NOISE_P, NOISE_P, NOISE_P, NOISE_F]
     psi = np.round(path(t) / rig["radius"] / ENCODER) * ENCODER
     given = given_force(rig, e, t, path(t), path(t, 2))
-    soft = Soft(rig, e, t, x, v, p_s) if gives(e) else None
+    soft = Soft(rig, e, t, x, v) if gives(e) else None
     parts = soft.parts if soft else [p.tolist() for p in friction(rig, e, t, x, v)]
-    force = force_at(rig, e, parts, given, p_s)
+    force = force_at(rig, parts, given)
     drive = environment(rig, e, fine, np.interp(fine, t, p_s), x, v)
 
     rates, valve = pressure_rates(rig, e), Valve(e)

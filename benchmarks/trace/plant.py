@@ -135,7 +135,7 @@ class Plant:
 
     # -- friction and force --
 
-    def sliding(self, t: float, x, v, P, P_s) -> np.ndarray:
+    def sliding(self, t: float, x, v, P) -> np.ndarray:
         """Sliding friction (3) with what the effects add, N."""
         e, r, z = self.e, self.r, self.z
         turn = np.clip(z / r["z_ss"], -1, 1)
@@ -143,8 +143,6 @@ class Plant:
         if e.has("stribeck"):
             width = e("stribeck", "v_s")
             level = level + e("stribeck", "k_st") * np.exp(-((v / width) ** 2))
-        if e.has("pressure_friction"):
-            level = level * (1 + e("pressure_friction", "a") * P.sum(0) / (2 * P_s))
         if e.has("position_friction"):
             angle = 2 * np.pi * x / e("position_friction", "wavelength")
             level = level * (1 + e("position_friction", "a") * np.sin(angle))
@@ -156,6 +154,9 @@ class Plant:
         if e.has("side_load"):
             swing = np.abs(np.sin(2 * np.pi * e("side_load", "hertz") * t))
             level = level * (1 + e("side_load", "a") * swing)
+        if e.has("pressure_friction"):
+            viscous = e("pressure_friction", "kappa_v") * np.abs(v)
+            level = level + (e("pressure_friction", "kappa") + viscous) * P.mean(0)
         fall = np.where(v > 0, r["k_vp"], r["k_vn"])
         out = turn * level + r["k_0"] - fall * v + e("viscous_friction", "b") * v
         if e.has("frictional_lag"):
@@ -167,14 +168,14 @@ class Plant:
             out = out + e("bristle_damping", "sigma_1") * rate
         return out
 
-    def forces(self, t: float, other, P_s, servo) -> tuple[np.ndarray, ...]:
+    def forces(self, t: float, other, servo) -> tuple[np.ndarray, ...]:
         """Load cell's force and the accelerations of load and piston, N, m/s^2.
 
         `servo` is what the motion drive would push with at x = v = 0, `other` an
         unlogged force of unit RMS. Speeds are those at the substep's end.
         """
         e, r = self.e, self.r
-        f_c = self.sliding(t, self.x_p, self.v_p, self.P, P_s)
+        f_c = self.sliding(t, self.x_p, self.v_p, self.P)
         ell = 1 / (1 + (L_SLOPE * self.slow) ** 3)
         net = (self.toward * self.P).sum(0) - (1 - ell) * f_c
         push = np.where(net > 0, r["k_fp"], r["k_fn"]) * ell

@@ -69,7 +69,7 @@ def _record(lanes, seconds, substeps, progress, ahead) -> list[Log]:
         path_v[0],
         np.stack([half, (first + r["area_1"] * half) / r["area_2"]]),
     )
-    cell, a, a_p = plant.forces(0.0, other[0], P_s[0], servo[0])
+    cell, a, a_p = plant.forces(0.0, other[0], servo[0])
     sensors.start(np.stack([*plant.P, cell]))
     parts = (np.arange(substeps) + 0.5) / substeps
     rows = np.empty((n, 7, len(lanes)))
@@ -88,7 +88,7 @@ def _record(lanes, seconds, substeps, progress, ahead) -> list[Log]:
             part = (j + 1) / substeps
             push = servo[k] + part * (servo[k + 1] - servo[k])
             t = (k - ahead + part) * TICK
-            cell, a, a_p = plant.forces(t, other[k], line[j], push)
+            cell, a, a_p = plant.forces(t, other[k], push)
             sensors.follow(np.stack([*plant.P, cell]))
             if j + 1 < substeps:
                 skew.keep(k, j + 1, sensors.shown)

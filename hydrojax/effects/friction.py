@@ -27,17 +27,30 @@ class Stribeck(LevelEffect):
 
 
 class PressureFriction(LevelEffect):
-    """Seal friction that grows with pressure (F5)."""
+    """Seal friction that grows with pressure (F5): `(kappa + kappa_v abs(v)) P`.
+
+    `P` is the mean of the pressures that push on the piston: `(P_a1 + P_a2) / 2`, or
+    the one pressure of a cylinder with an open chamber. A seal knows no supply.
+    """
 
     name = "pressure_friction"
     needs = ("F", "P_a2")
     residual_axis = "P_a1 + P_a2"
-    a: Float[Array, ""] = param(
-        "1", 0.0, -500.0, 500.0, "growth", strength=True, size=0.1
+    kappa: Float[Array, ""] = param(
+        "N/Pa", 0.0, -1e-3, 1e-3, "growth of the level", strength=True, size=5e-6
+    )
+    kappa_v: Float[Array, ""] = param(
+        "N*s/(m*Pa)",
+        0.0,
+        -1e-2,
+        1e-2,
+        "growth of viscous friction",
+        strength=True,
+        size=5e-5,
     )
 
     def level(self, at, base):
-        return base * self.a * (at.P_a1 + at.P_a2) / (2 * at.P_s)
+        return (self.kappa + self.kappa_v * jnp.abs(at.v)) * at.P_seal
 
 
 def _wave(description: str) -> Any:

@@ -9,9 +9,23 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.parameters import param
+
+P_VAPOUR = -101_325.0
+"""Gauge pressure (Pa) of a vacuum: oil's own vapour adds less than 1 kPa. Below it a
+chamber is not full."""
+
+SHORTEST = 2e-3
+"""Share of a chamber's length below which its volume is held: a piston that overruns
+the stroke would turn it negative."""
+
+
+def filled(P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """The pressure of a chamber that may lack volume, Pa; see `pressure_step`."""
+    return jnp.maximum(P, P_VAPOUR)
 
 
 class Point(NamedTuple):
@@ -64,11 +78,17 @@ class Chambers(eqx.Module):
 
         `softness` are effects that add compliance (1/Pa) beside 1/beta, `volumes`
         those that add to what the chambers hold (m^3).
+
+        A pressure below `P_VAPOUR` stands for a chamber that is not full: it lacks
+        `A length / beta` of volume per Pa, whatever room it has, so that the same
+        volume fills it up.
         """
-        x_1, x_2 = self.lengths(at.x)
+        x_1, x_2 = (jnp.maximum(x, SHORTEST * self.length) for x in self.lengths(at.x))
         for effect in volumes:
             more_1, more_2 = effect.volume()
             x_1, x_2 = x_1 + more_1 / self.area_1, x_2 + more_2 / self.area_2
+        x_1 = jnp.where(at.P_a1 < P_VAPOUR, self.length, x_1)
+        x_2 = jnp.where(at.P_a2 < P_VAPOUR, self.length, x_2)
         stiff_1 = 1 / (1 / self.beta + sum(s.compliance(at.P_a1) for s in softness))
         stiff_2 = 1 / (1 / self.beta + sum(s.compliance(at.P_a2) for s in softness))
         # Divisions by what instances of a sweep have in common are done once.

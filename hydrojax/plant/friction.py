@@ -17,7 +17,8 @@ class Sliding(NamedTuple):
 
     `v` is the piston's velocity, `z` the bristle's deflection (m), `z_rate` its rate,
     `speed` the filtered speed of L(t) (m/s), `t` the time since the log began. `lag` is
-    the speed of an oil film that comes late, less `abs(v)` (m/s).
+    the speed of an oil film that comes late, less `abs(v)` (m/s). `P_seal` is the mean
+    of the pressures (Pa) that push on the piston, which `Rig.output_force` fills in.
     """
 
     t: Float[Array, "*batch"]
@@ -31,6 +32,7 @@ class Sliding(NamedTuple):
     P_a2: Float[Array, "*batch"]
     P_s: Float[Array, "*batch"]
     lag: Float[Array, "*batch"] | float = 0.0
+    P_seal: Float[Array, "*batch"] | float = 0.0
 
 
 class Theta(NamedTuple):
@@ -83,8 +85,11 @@ class Friction(eqx.Module):
 
         Exact while v keeps its sign: the bristle depends on displacement, not time.
         """
-        keep = jnp.exp(-jnp.abs(dx) / self.z_ss)
-        return keep, jnp.sign(dx) * self.z_ss * (1 - keep)
+        way = jnp.abs(dx) / self.z_ss
+        # At rest the bristle follows the piston: a slope of 1, which a sign would lose.
+        rest = way == 0
+        share = jnp.where(rest, 1.0, -jnp.expm1(-way) / jnp.where(rest, 1.0, way))
+        return jnp.exp(-way), dx * share
 
     def speed_map(
         self, dx: Float[Array, "*batch"], h: Float[Array, "*batch"]

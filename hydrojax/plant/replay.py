@@ -17,7 +17,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
+from hydrojax.plant.chambers import filled
 from hydrojax.plant.friction import Sliding, run_linear
+from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import StepInput
 
@@ -131,8 +133,8 @@ def pressures(
     def advance(carry, inputs):
         memory, P = carry
         memory, opening = rig.command_step(memory, inputs.u, inputs.h)
-        P = rig.pressure_step(P, opening, inputs)
-        return (memory, P), P
+        P = pressure_step(rig, P, opening, inputs)
+        return (memory, P), (filled(P[0]), filled(P[1]))
 
     memory = rig.command_init(w.before[:, 0])
     memory, _ = jax.lax.scan(warm, memory, (w.before.T, w.before_h.T))

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import Chambers, Point
+from hydrojax.plant.chambers import Chambers, Point, filled
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import Layout
@@ -107,44 +107,16 @@ class Rig(eqx.Module):
     def pressure_rates(
         self, at: Point
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Rates of both chamber pressures, Pa/s; (12)-(15)."""
-        q_1, q_2 = self.valve.flows(at, self.supply, self.orifice)
+        """Rates of both chamber pressures, Pa/s; (12)-(15).
+
+        Below `P_VAPOUR` they are those of the volume that a chamber lacks.
+        """
+        full = at._replace(P_a1=filled(at.P_a1), P_a2=filled(at.P_a2))
+        q_1, q_2 = self.valve.flows(full, self.supply, self.orifice)
         for effect in self.flow:
-            e_1, e_2 = effect.flow(at)
+            e_1, e_2 = effect.flow(full)
             q_1, q_2 = q_1 + e_1, q_2 + e_2
         return self.chambers.rates(at, q_1, q_2, self.compliance, self.volume)
-
-    def pressure_step(
-        self,
-        P: tuple[Float[Array, "*batch"], Float[Array, "*batch"]],
-        opening: tuple[Float[Array, "*batch"], ...],
-        inputs: StepInput,
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Both pressures over one tick, by the midpoint rule in n substeps.
-
-        Each substep moves the piston by its exact displacement, so what is left of
-        the error is the pressures' own, of second order.
-        """
-        n = (inputs.x.shape[-1] - 1) // 2
-        h, x = inputs.h / n, stretch.place(self.stretch, inputs)
-
-        def rates(P, k, v):
-            part = k / (2 * n)
-            p_s, p_r = (
-                p[..., 0] + part * (p[..., 1] - p[..., 0])
-                for p in (inputs.P_s, inputs.P_r)
-            )
-            return self.pressure_rates(
-                Point(P[0], P[1], p_s, p_r, opening, x=x[..., k], v=v)
-            )
-
-        for i in range(n):
-            v = (x[..., 2 * i + 2] - x[..., 2 * i]) / h
-            first = rates(P, 2 * i, v)
-            middle = tuple(p + h / 2 * r for p, r in zip(P, first, strict=True))
-            second = rates(middle, 2 * i + 1, v)
-            P = (P[0] + h * second[0], P[1] + h * second[1])
-        return P
 
     def drive_force(
         self, P_a1: Float[Array, "*batch"], P_a2: Float[Array, "*batch"]
@@ -152,8 +124,20 @@ class Rig(eqx.Module):
         """Net drive force P, N; (16) with two areas."""
         return self.force_area_2 * P_a2 - self.force_area_1 * P_a1
 
+    def seal_pressure(
+        self, P_a1: Float[Array, "*batch"], P_a2: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
+        """Mean of the pressures that push on the piston, Pa.
+
+        That of an open chamber, whose force area is zero (`single`), does not.
+        """
+        push_1 = jnp.where(self.force_area_1 > 0, 1.0, 0.0)
+        push_2 = jnp.where(self.force_area_2 > 0, 1.0, 0.0)
+        return (push_1 * P_a1 + push_2 * P_a2) / (push_1 + push_2)
+
     def output_force(self, at: Sliding) -> Float[Array, "*batch"]:
         """F at the load cell, before the sensor, N; (22) and the added forces."""
+        at = at._replace(P_seal=self.seal_pressure(at.P_a1, at.P_a2))
         f_c = self.mechanics.sliding_force(at, self.level, self.friction)
         P = self.drive_force(at.P_a1, at.P_a2)
         F = self.mechanics.output_force(P, f_c, self.mechanics.switch(at.speed))

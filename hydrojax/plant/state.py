@@ -41,8 +41,10 @@ class State(NamedTuple):
     """What the plant remembers: independent quantities only.
 
     `speed` is the filtered speed; where an oil film comes late, `abs(v)` and each
-    film's speed stand behind it on a last axis. `rod` holds the force that stretches,
-    where one does; `motion` what the load remembers of where the piston stands.
+    film's speed stand behind it on a last axis. `lacking` says by how much, in Pa and
+    <= 0, each chamber is short of being full; its pressure is then `P_VAPOUR`. `rod`
+    holds the force that stretches, where one does; `motion` what the load remembers of
+    where the piston stands.
     """
 
     command: tuple
@@ -53,3 +55,4 @@ class State(NamedTuple):
     sensor_F: tuple
     rod: tuple = ()
     motion: Any = ()
+    lacking: tuple = (0.0, 0.0)

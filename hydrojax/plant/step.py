@@ -11,8 +11,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.plant.chambers import Point
+from hydrojax.plant.chambers import Point, filled
 from hydrojax.plant.friction import Sliding
+from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.load import AbstractLoad, Prescribed, environment_of
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import State, StepInput
@@ -67,6 +68,7 @@ def start(
         sensor_F=rig.sense_init(rig.sensor_F, still, rest)[0],
         rod=(still,) if rig.stretch else (),
         motion=motion,
+        lacking=(rest, rest),
     )
     paths = {"P_a1": (rig.gauge(0), P[0]), "P_a2": (rig.gauge(1), P[1])}
     paths["F"] = (rig.sensor_F, F)
@@ -122,16 +124,28 @@ def act(
         inputs = inputs._replace(F=jnp.stack([state.rod[0], F], axis=-1))
         state = state._replace(rod=(F,))
     P = _pressures(rig, state, opening, inputs)
-    return rig.slide(state, inputs)._replace(P=P)
+    return _with_pressures(rig.slide(state, inputs), P, inputs)
 
 
 def _pressures(
     rig: Rig, state: State, opening: tuple[Array, ...], inputs: StepInput
 ) -> tuple[Array, Array]:
-    """Both pressures at the tick's end, Pa; a drive force that is given as P_a2."""
+    """Both pressures at the tick's end, Pa; a drive force that is given as P_a2.
+
+    As `pressure_step` has them: less what a chamber lacks.
+    """
     if inputs.P is not None:
         return 0 * inputs.P, inputs.P / rig.force_area_2
-    return rig.pressure_step(state.P, opening, inputs)
+    P = (state.P[0] + state.lacking[0], state.P[1] + state.lacking[1])
+    return pressure_step(rig, P, opening, inputs)
+
+
+def _with_pressures(state: State, P: tuple[Array, Array], inputs: StepInput) -> State:
+    """The state with pressures from `_pressures`, and what they lack aside."""
+    if inputs.P is not None:
+        return state._replace(P=P)
+    full = (filled(P[0]), filled(P[1]))
+    return state._replace(P=full, lacking=(P[0] - full[0], P[1] - full[1]))
 
 
 def _pressure_rates_per_speed(
@@ -172,7 +186,7 @@ def _stretching_force(
         moved = ahead(rig.stretch, F) - ahead(rig.stretch, state.rod[0])
         P = tuple(p + d * moved for p, d in zip(P, per_metre, strict=True))
         inputs = inputs._replace(F=jnp.stack([state.rod[0], F], axis=-1))
-        state = rig.slide(state, inputs)._replace(P=P)
+        state = _with_pressures(rig.slide(state, inputs), P, inputs)
         return rig.output_force(rig.sliding(state, inputs))
 
     def over(F, rig, begun):

@@ -11,6 +11,7 @@ from abc import abstractmethod
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, ArrayLike, Float
 
 from hydrojax.parameters import param
@@ -33,7 +34,56 @@ def root_flow(
     of the core, Pa^2.
     """
     d = jnp.asarray(drop)
-    return d * per_fourth_root(d * d + (core * core + wider))
+    return _root(d, jnp.asarray(core * core + wider, d.dtype))
+
+
+# Derivatives of their own: the step of the pressures takes the slope, and a fit the
+# derivative of that. Each is then one product with what is known at the point.
+@jax.custom_jvp
+def _root(
+    d: Float[Array, "*batch"], square: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    return d * per_fourth_root(d * d + square)
+
+
+@jax.custom_jvp
+def _root_slope(
+    d: Float[Array, "*batch"], square: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    y = per_fourth_root(d * d + square)
+    return y * (0.5 + 0.5 * square * (y * y) * (y * y))
+
+
+def _set_derivatives(function, by_d, by_square) -> None:
+    """Set both partial derivatives; the second is left out where the core is fixed."""
+
+    def rule(at, along):
+        (d, square), (d_d, d_square) = at, along
+        y = per_fourth_root(d * d + square)
+        out = jnp.zeros(jnp.broadcast_shapes(d.shape, square.shape), d.dtype)
+        if not isinstance(d_d, SymbolicZero):
+            out = out + by_d(d, square, y) * d_d
+        if not isinstance(d_square, SymbolicZero):
+            out = out + by_square(d, square, y) * d_square
+        return function(d, square), out
+
+    function.defjvp(rule, symbolic_zeros=True)
+
+
+def _bend(square, y):
+    return 0.5 + 2.5 * square * (y * y) * (y * y)
+
+
+_set_derivatives(
+    _root,
+    lambda d, square, y: _root_slope(d, square),
+    lambda d, square, y: -0.25 * d * y * (y * y) * (y * y),
+)
+_set_derivatives(
+    _root_slope,
+    lambda d, square, y: -0.5 * d * y * (y * y) * (y * y) * _bend(square, y),
+    lambda d, square, y: y * (y * y) * (y * y) * (0.5 - 0.25 * _bend(square, y)),
+)
 
 
 @jax.custom_jvp

@@ -243,15 +243,15 @@ class Outcome:
     criteria: Criteria = Criteria()
 
     @property
-    def explained_share(self) -> float | None:
+    def explained_share(self) -> float:
         """The part that all effects together take of the excess over the noise, in
-        squares; None where there was no excess.
+        squares; 0 where there was no excess, or no effect.
         """
         ends = [(c.validate or c, c.noise) for c in self.channels.values()]
         excess = sum(excess_of(e.before, noise) for e, noise in ends)
         rest = sum(excess_of(e.after, noise) for e, noise in ends)
-        if not excess or self.command == "identify":
-            return None
+        if not excess or not self.effects:
+            return 0.0
         return min(max(1.0 - rest / excess, 0.0), 1.0)
 
 

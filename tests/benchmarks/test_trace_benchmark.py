@@ -44,11 +44,11 @@ def test_plant_agrees_with_a_stiff_solver(layout):
     one.z, one.slow = np.array([2e-5]), np.array([1e-3])
     edges = np.array([[[opening], [0.0]], [[0.0], [opening]]])
     g = one.conductances(0.0, edges)
-    cell, a, a_p = one.forces(0.0, 0.0, line, K * x_0 + 200.0)
+    cell, a, a_p = one.forces(0.0, 0.0, K * x_0 + 200.0)
     for k in range(round(seconds / STEP)):
         push = K * x_0 + 200.0 * math.cos(60 * (k + 1) * STEP)
         one.advance(a, a_p, line, g)
-        cell, a, a_p = one.forces(0.0, 0.0, line, np.array([push]))
+        cell, a, a_p = one.forces(0.0, 0.0, np.array([push]))
 
     def force(x, v, z, slow, p_1, p_2):
         level = r["k_cp"] if z > 0 else r["k_cn"]

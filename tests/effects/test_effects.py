@@ -205,6 +205,7 @@ SLIDING = Sliding(
     P_a1=np.float64(5e6),
     P_a2=np.float64(6.5e6),
     P_s=np.float64(14e6),
+    P_seal=np.float64(5.75e6),
 )
 
 
@@ -251,7 +252,11 @@ def position_wave(x, s, c, waves):
     ("name", "fields", "want"),
     [
         ("stribeck", {"k_st": 80.0, "v_s": 3e-3}, 80 * np.exp(-((4 / 3) ** 2))),
-        ("pressure_friction", {"a": 0.2}, 500 * 0.2 * 11.5 / 28),
+        (
+            "pressure_friction",
+            {"kappa": 8e-6, "kappa_v": 3e-4},
+            8e-6 * 5.75e6 + 3e-4 * 0.004 * 5.75e6,
+        ),
         ("friction_drift", {"a": 0.3, "tau": 5.0}, 150 * (np.exp(-7 / 5) - 1)),
         (
             "position_friction",

@@ -211,6 +211,7 @@ CONTRACT = {
     "logs": dict,
     "verdict": str,
     "sentence": str,
+    "explained_share": float,
     "parameters": dict,
     "channels": dict,
     "effects": list,
@@ -286,7 +287,7 @@ def test_json_keeps_the_contract(written, name):
         assert set(p) >= FREE
         assert not p["held"] or p["std"] is None
     for c in found["channels"].values():
-        assert set(c) == {"unit", "noise", "before", "after"}
+        assert set(c) == {"unit", "noise", "before", "after", "horizons"}
 
 
 def with_test_logs() -> Outcome:

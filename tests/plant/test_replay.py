@@ -76,6 +76,7 @@ def by_steps(rig, log):
         speed=past.speed[w.seg, w.first],
         sensor_P=tuple(sensors(rig.sensor_P, true[..., i]) for i in range(2)),
         sensor_F=sensors(rig.sensor_F, true[..., 2]),
+        lacking=(0 * P_0[:, 0], 0 * P_0[:, 1]),
     )
     index = w.seg[:, None], w.first[:, None] + jnp.arange(1, ticks)
     along = StepInput(
