@@ -15,6 +15,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.effects.valve import QUEUE
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
+from hydrojax.identify.checking.check import check_inputs
 from hydrojax.identify.estimation.fit import (
     FitPoint,
     fit_force,
@@ -33,7 +34,7 @@ from hydrojax.identify.inference.profile import profiles
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
-from hydrojax.identify.results.summary import summarise
+from hydrojax.identify.results.summary import summarise, with_inputs
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.jax_setup import cores
@@ -136,10 +137,13 @@ def identify(
     With `profile`, intervals by profile likelihood too: many refits.
     """
     began, compiled = time.perf_counter(), _Compiling()
+    progress("check the inputs")
+    inputs = check_inputs(case.spec, case.read_logs).found
     state = fit_case(case, starts, progress)
-    return _outcome(
+    found = _outcome(
         "identify", case, state, state.point, began, compiled, progress, profile
     )
+    return with_inputs(found, inputs)
 
 
 def trace_case(
@@ -163,6 +167,7 @@ def trace_case(
             for evaluate in (check.errors_at, problem.sums_at)
             if spare
         ]
+        inputs = pool.submit(check_inputs, case.spec, case.read_logs)
         early, values, done, point = _fit_base(
             problem, free, starts, progress, case.spec.path
         )
@@ -177,7 +182,8 @@ def trace_case(
         progress,
     )
     state = search_effects(start)
-    return _outcome("trace", case, state, point, began, compiled, progress, profile)
+    found = _outcome("trace", case, state, point, began, compiled, progress, profile)
+    return with_inputs(found, inputs.result().found)
 
 
 class _Compiling:

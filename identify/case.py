@@ -85,6 +85,7 @@ class Case:
         preparation: how they were made ready.
         test: logs that take part in no decision, made ready, if there are any.
         test_logs: these logs.
+        read_logs: the logs that are fitted, as they were read.
     """
 
     spec: RigFile
@@ -96,6 +97,7 @@ class Case:
     preparation: Preparation
     test: Data | None = None
     test_logs: tuple[Log, ...] = ()
+    read_logs: tuple[Log, ...] = ()
 
     @property
     def criteria(self) -> Criteria:
@@ -144,7 +146,8 @@ def open_case(
     )
     spec = _with_command_unit(spec, (*fitted, *others, *tests))
     driver((*fitted, *others, *tests), spec)
-    return _prepared(spec, fitted, others, tests, horizon, criteria)
+    case = _prepared(spec, fitted, others, tests, horizon, criteria)
+    return replace(case, read_logs=fitted)
 
 
 def read(log: LogSource, spec: RigFile) -> Log:

@@ -167,13 +167,14 @@ class Result:
                if e.cannot_tell_from else "")
             for e in o.effects
         ]  # fmt: skip
+        says = [f"{f.input}: {f.says}" for f in o.inputs[1:]]
         parts = [
             [title],
             [f"verdict: {o.verdict}", o.sentence, *used],
             [f"RMS errors on the {judged(o)} logs", _table(self.channels)],
             ["effects", *found] if found else [],
             [_table(fitted)],
-            [f"- {line}" for line in (*o.limits, *o.notes)],
+            [f"- {line}" for line in (*says, *o.limits, *o.notes)],
         ]
         width = max(len(line) for line in parts[4][0].splitlines())
         rule = "\n" + "-" * width + "\n"

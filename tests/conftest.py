@@ -14,7 +14,7 @@ import pytest
 
 from hydrojax import cli
 from hydrojax.jax_setup import make_room, set_up_jax
-from hydrojax.parameters import put
+from hydrojax.parameters import parameter_specs, put
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.replay import Motion, Windows
 from hydrojax.plant.rig import Rig, bare_rig
@@ -168,8 +168,9 @@ def make_drive(substeps: int = 1, jitter: float = 0.0, seed: int = 0) -> Drive:
 
 
 def set_reference(rig: Rig) -> Rig:
-    """The rig at the reference parameters."""
-    return put(rig, list(REFERENCE), np.array(list(REFERENCE.values())))
+    """The rig at those of the reference parameters that it has."""
+    known = {n: v for n, v in REFERENCE.items() if n in parameter_specs(rig)}
+    return put(rig, list(known), np.array(list(known.values())))
 
 
 PROGRAMS_KEPT = 0.1

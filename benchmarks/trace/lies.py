@@ -8,12 +8,16 @@ often an input is blamed that is right.
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 Told = tuple[str, list[Any]]
 """The text of a rig file, and logs."""

@@ -28,6 +28,7 @@ from hydrojax.jax_setup import set_up_jax, user_cache
 
 if TYPE_CHECKING:
     from hydrojax.identify.result import Result
+    from hydrojax.identify.results.outcome import Outcome
 
 Validate = typer.Option(
     help="Logs that take no part in the fit: all words that follow."
@@ -137,11 +138,21 @@ def demo(out: Out = Path("hydrojax-demo")) -> None:
 
 def _finish(result: Result, out: Path) -> None:
     """Write the report and print its summary."""
+    result.save(out)
+    print_outcome(result.outcome)
+    spent = result.outcome.seconds
+    console.print(
+        f"\ncompile {spent['compile']:.1f} s, run {spent['run']:.1f} s; "
+        f"report in {out / 'report.html'}",
+        markup=False,
+    )
+
+
+def print_outcome(outcome: Outcome) -> None:
+    """Print verdict, errors by channel, effects and remarks."""
     from hydrojax.identify.results.outcome import skill_text
     from hydrojax.report.text import quantity_text
 
-    outcome = result.outcome
-    result.save(out)
     console.print(outcome.verdict, style="bold", end="  ")
     console.print(f"{outcome.sentence}\n", markup=False)
     table = Table("channel", "noise", "before", "after", "after / noise", "skill")
@@ -164,11 +175,6 @@ def _finish(result: Result, out: Path) -> None:
             else ""
         )
         console.print(f"{effect.name}: {found}{alike}", markup=False)
-    for line in (*outcome.limits, *outcome.notes):
+    says = (f"{f.input}: {f.says}" for f in outcome.inputs[1:])
+    for line in (*says, *outcome.limits, *outcome.notes):
         console.print(f"- {line}", markup=False)
-    spent = outcome.seconds
-    console.print(
-        f"\ncompile {spent['compile']:.1f} s, run {spent['run']:.1f} s; "
-        f"report in {out / 'report.html'}",
-        markup=False,
-    )

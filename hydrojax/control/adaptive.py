@@ -7,6 +7,7 @@ nominal valve gain once.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from jaxtyping import Array, Float
 from hydrojax.control.base import (
     AbstractController,
     Estimates,
+    Gain,
     Measured,
     clamp,
     gain,
@@ -27,6 +29,18 @@ from hydrojax.plant.valve import metering_edges
 LEAST_DROP = 1e4
 """Pressure drop (Pa) below which (18) is inverted as if there were this much: the
 measured pressure may touch P_s or P_r, where the valve's gain vanishes."""
+
+
+VALVE_GAIN = Gain(
+    "m^2/(s*V)", math.nan, 0.0, math.inf,
+    "nominal valve gain: virtual input per volt of the law", key="kappa", positive=True,
+)  # fmt: skip
+"""What turns the volts of the paper's gains (`Gain.volts`) into SI. By default it is
+such that `VOLT_SECONDS_PER_KILONEWTON` is 1/beta."""
+
+VOLT_SECONDS_PER_KILONEWTON = 0.01
+"""The paper's k_1. With the default valve gain this is 1/beta of any rig: the paper's
+gains then make a loop of 360 rad/s on it."""
 
 
 class Memory(NamedTuple):
@@ -85,7 +99,7 @@ class Law(AbstractController):
         written="V/kN", volts=True,
     )  # fmt: skip
     u_max: Float[Array, ""] = gain(
-        "{u}", 10.0, 0.0, 100.0, "where the command saturates"
+        "{u}", 10.0, 0.0, 100.0, "where the command saturates", positive=True
     )
     tau_d: Float[Array, ""] = gain(
         "s", 0.0, 0.0, 1.0, "time constant of the rate of P_d"

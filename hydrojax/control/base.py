@@ -33,10 +33,16 @@ class Gain(Spec):
             it is empty.
         volts: whether `written` is per volt of the law, so that the nominal valve gain
             turns it into `unit`.
+        key: what [controller] calls it; the field's name if it is empty.
+        positive: whether it must be above 0.
+        pair: whether it is an estimate, given as one value (both bounds) or as two.
     """
 
     written: str = ""
     volts: bool = False
+    key: str = ""
+    positive: bool = False
+    pair: bool = False
 
 
 def gain(
@@ -133,12 +139,16 @@ class Estimates(NamedTuple):
 
 def _table(
     *rows: tuple[str, str, str, str, bool],
+    pair: bool = False,
 ) -> dict[str, Gain]:
     """Declarations of values that are kept in an `Estimates`."""
     return {
-        name: Gain(unit, 0.0, -math.inf, math.inf, text, written=written, volts=volts)
+        name: Gain(
+            unit, 0.0, -math.inf, math.inf, text, written=written, volts=volts,
+            pair=pair,
+        )
         for name, unit, written, text, volts in rows
-    }
+    }  # fmt: skip
 
 
 RATES = _table(
@@ -164,5 +174,6 @@ ESTIMATES = _table(
     ("k_vn", "N*s/m", "kN*s/m", "fall with speed, v < 0", False),
     ("k_fp", "1", "1", "presliding, F > 0", False),
     ("k_fn", "1", "1", "presliding, F < 0", False),
+    pair=True,
 )
 """The estimates, by the paper's names, in the order of `Estimates`."""

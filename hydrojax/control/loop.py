@@ -7,6 +7,7 @@ effect of the rig, a spool its `valve_lag`.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.control.base import Measured
+from hydrojax.control.base import Measured, gain
 from hydrojax.plant import step as plant_step
 from hydrojax.plant.load import AbstractLoad, EnvironmentMotion
 from hydrojax.plant.rig import Rig
@@ -24,14 +25,18 @@ from hydrojax.plant.state import State, StepInput
 class Sensors(eqx.Module):
     """Standard deviations of the noise, and the encoder's step; SI.
 
-    `step` is the step of the position in m, 0 for none.
+    `step` is the step of the position in m, 0 for none; a rig file gives it as an angle
+    where its geometry has a radius.
     """
 
     P_a1: Float[Array, ""]
     P_a2: Float[Array, ""]
     P_s: Float[Array, ""]
     F: Float[Array, ""]
-    step: Float[Array, ""]
+    step: Float[Array, ""] = gain(
+        "m", 0.0, 0.0, 1.0, "step of the position sensor",
+        key="resolution", written="rad",
+    )  # fmt: skip
 
     def read(self, truth: Measured, noise: Float[Array, "..."]) -> Measured:
         """The readings of `truth` with `noise` [..., 4], standard normal numbers."""
@@ -80,8 +85,11 @@ class Loop(eqx.Module):
     law: Any  # an AbstractController; typed so that its own gains can be reached
     load: AbstractLoad
     sensors: Sensors
-    h: Float[Array, ""]
     P_start: Float[Array, ""]
+    h: Float[Array, ""] = gain(
+        "s", 1e-3, 0.0, math.inf, "sampling rate",
+        key="rate", outside=("rate", "Hz"), positive=True,
+    )  # fmt: skip
 
 
 class _Carry(NamedTuple):

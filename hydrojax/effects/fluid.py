@@ -65,7 +65,7 @@ class DeadVolume(VolumeEffect):
     """Oil beside the stroke in hoses and manifold (C3): `V_i = A x_i + V_0i`.
 
     `V_0i / A` is an assembly offset by another name: where `delta_1` and `delta_2`
-    are free a log cannot tell them, and only what they sum to is found.
+    are free a log does not identify them separately, only their sum.
     """
 
     name = "dead_volume"

@@ -94,8 +94,8 @@ class _Offset(SensorChannel):
 class PressureSensorBias(SensorChannel):
     """Constant error of each pressure sensor (S4): `P_m = P + b`.
 
-    A bias shifts the drive force as `k_0` does and the flows hardly, so few logs tell
-    it from the base model's own parameters.
+    A bias shifts the drive force as `k_0` does and the flows hardly, so few logs
+    distinguish it from the base model's own parameters.
     """
 
     name = "pressure_sensor_bias"

@@ -18,10 +18,10 @@ from hydrojax.export.template import fill
 from hydrojax.export.tree import defaults_taken, rig_tree
 from hydrojax.plant.valve import metering_edges
 from hydrojax.rigfile.build import build_loop
-from hydrojax.rigfile.controller import KEYS, si
+from hydrojax.rigfile.controller import si, written_unit
 from hydrojax.rigfile.schema import RigFile
 
-UNITS = ("1/Pa", "m^2", *(si(KEYS[name].unit) for name in Estimates._fields[2:]))
+UNITS = ("1/Pa", "m^2", *(si(written_unit(name)) for name in Estimates._fields[2:]))
 """Of the nine estimates, as `Law` holds them."""
 
 

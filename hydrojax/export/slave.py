@@ -1,4 +1,4 @@
-"""The plant behind the FMI: what an importing tool is told, and what it may do.
+"""The plant behind the FMI: what an importing tool reads, and what it may do.
 
 It runs inside an FMU, in the Python of the importing tool, and reads the rig from the
 FMU's own resources. `hydrojax.export.fmu` mixes it with the slave of PythonFMU.

@@ -28,6 +28,7 @@ from hydrojax.rigfile.controller import (
     key_unit,
     si,
     valve_gain,
+    written_unit,
 )
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.rigfile.sections import GEOMETRY, LOAD, Entry
@@ -182,7 +183,7 @@ def _defaults(spec: RigFile) -> dict[str, tuple[float, float]]:
     kappa = valve_gain(file_keys(spec), nominal)
     step = float(loop.sensors.step) / spec.geometry.get("radius", 1.0)
     alone = {
-        name: units.to_si(value, KEYS[name].unit, si(KEYS[name].unit), name)
+        name: units.to_si(value, written_unit(name), si(written_unit(name)), name)
         for name, value in PAPER.items()
     } | {"kappa": kappa, "u_max": float(loop.law.u_max), "resolution": step}
     ends = {name: (value, value) for name, value in alone.items()}

@@ -18,7 +18,7 @@ from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import Layout
 from hydrojax.plant.places import PLACES
 from hydrojax.plant.state import State, StepInput
-from hydrojax.plant.valve import AbstractValve, MeteringEdges, sides
+from hydrojax.plant.valve import AbstractValve, MeteringEdges, NoValve, sides
 
 PARTS = 4
 """Parts of a tick over which the command's path is run: within one, the spool's mean
@@ -259,7 +259,7 @@ def bare_rig(layout: Layout, geometry: Mapping[str, float] | None = None) -> Rig
     chamber, force = layout.areas(g)
     length = jnp.asarray(g.get("chamber_length", 1.0), float)
     return Rig(
-        valve=MeteringEdges(),
+        valve=MeteringEdges() if layout.has_valve else NoValve(),
         chambers=Chambers(chamber[0], chamber[1], length),
         mechanics=Friction(),
         force_area_1=force[0],

@@ -209,6 +209,17 @@ class MeteringEdges(AbstractValve):
         )
 
 
+class NoValve(AbstractValve):
+    """No valve, and so no constants: what drives the axis is an input."""
+
+    def flows(
+        self, at: Point, drops: tuple = (), orifices: tuple = ()
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """No flow into either chamber."""
+        none = jnp.zeros_like(at.P_a1)
+        return none, none
+
+
 def metering_edges(valve: AbstractValve) -> MeteringEdges:
     """The valve as four metering edges, which is what the paper's law inverts, (18).
 

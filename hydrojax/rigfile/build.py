@@ -107,7 +107,7 @@ def build_rig(
     rig = add(bare_rig(file.layout, file.geometry), [modules[n] for n in names])
     if file.valve is not None:
         rig = eqx.tree_at(lambda r: r.valve, rig, file.valve)
-    elif file.command_unit == "1":
+    elif file.command_unit == "1" and file.layout.has_valve:
         # The default valve constants are per volt of a +-10 V command.
         rig = put(rig, LANDS, 10 * get(rig, LANDS))
     given = {name: e.start for name, e in file.parameters.items()}

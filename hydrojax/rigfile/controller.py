@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -11,8 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from hydrojax import units
-from hydrojax.control.adaptive import Law, mean_area
-from hydrojax.control.base import ESTIMATES, RATES, AbstractController, Estimates
+from hydrojax.control.adaptive import (
+    VALVE_GAIN,
+    VOLT_SECONDS_PER_KILONEWTON,
+    Law,
+    mean_area,
+)
+from hydrojax.control.base import ESTIMATES, RATES, AbstractController, Estimates, Gain
+from hydrojax.control.loop import Loop, Sensors
 from hydrojax.errors import InputError, check_known
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.rig import Rig
@@ -22,51 +27,31 @@ ENCODER = 2 * np.pi / 2**23
 """The paper's absolute encoder of 23 bits: one step, rad."""
 
 
-@dataclass(frozen=True)
-class Key:
-    """One key of [controller].
-
-    Attributes:
-        unit: the paper's, in which a bare number is taken.
-        description: one phrase.
-        volts: whether the law's volts are in it, so that the nominal valve gain turns
-            it into SI.
-        pair: whether it is an estimate, given as one value (both bounds) or as two.
-    """
-
-    unit: str
-    description: str
-    volts: bool = False
-    pair: bool = False
-
-
-def _keys(declared: Mapping[str, Spec], pair: bool = False) -> dict[str, Key]:
-    """The keys of what a controller declares."""
+def _keyed(*declared: Mapping[str, Spec]) -> dict[str, Gain]:
+    """Declarations by the keys of [controller]."""
     return {
-        name: Key(
-            getattr(s, "written", "") or s.unit,
-            s.description,
-            getattr(s, "volts", False),
-            pair,
-        )
-        for name, s in declared.items()
+        spec.key or field: spec
+        for own in declared
+        for field, spec in own.items()
+        if isinstance(spec, Gain)
     }
 
 
-_GAINS = _keys(specs(Law))
+_GAINS = specs(Law)
 
-KEYS: Mapping[str, Key] = {
-    "rate": Key("Hz", "sampling rate"),
-    "kappa": Key("m^2/(s*V)", "nominal valve gain: virtual input per volt of the law"),
-    **{name: _GAINS[name] for name in ("k_p", "k_f")},
-    **_keys(RATES),
-    **_keys(ESTIMATES, pair=True),
-    **{name: _GAINS[name] for name in ("u_max", "tau_d", "tau_v")},
-    "resolution": Key("rad", "step of the position sensor"),
-}
-"""What a rig file may say of its controller, by the paper's names."""
+KEYS: Mapping[str, Gain] = _keyed(
+    specs(Loop),
+    {"kappa": VALVE_GAIN},
+    {name: _GAINS[name] for name in ("k_p", "k_f")},  # ahead, as they are shown first
+    RATES,
+    ESTIMATES,
+    _GAINS,
+    specs(Sensors),
+)
+"""What a rig file may say of its controller, by the paper's names: what loop, law and
+sensors declare beside their fields."""
 
-LOOP_KEYS = {"rate", "resolution"}
+LOOP_KEYS = set(_keyed(specs(Loop), specs(Sensors)))
 """Keys that belong to the loop and its sensors, whatever controls it."""
 
 PAPER: Mapping[str, float] = {
@@ -78,11 +63,6 @@ PAPER: Mapping[str, float] = {
 }  # fmt: skip
 """Defaults in the paper's units: what it prints, and of what it does not print
 (c_4 to c_7, the two filters) values that do about as much."""
-
-VOLT_SECONDS_PER_KILONEWTON = 0.01
-"""The paper's k_1. A rig's nominal valve gain is by default such that this is 1/beta:
-the paper's gains then make a loop of 360 rad/s on any rig."""
-
 
 Values = dict[str, tuple[float, float]]
 """Keys in SI but for volts, which stay the law's; one value is a pair of equals."""
@@ -112,9 +92,8 @@ def read_keys(where: str, table: Mapping[str, object], spec: RigFile) -> Values:
         lower, upper = (_number(f"{where} {name}", name, v, spec) for v in both)
         if lower > upper:
             raise InputError(f"{where} {name}: {given!r} is upside down; exchange them")
-        positive = name in ("rate", "kappa", "u_max")
-        if (not key.pair and lower < 0) or (positive and lower <= 0):
-            lowest = "above 0" if positive else "0 or more"
+        if (not key.pair and lower < 0) or (key.positive and lower <= 0):
+            lowest = "above 0" if key.positive else "0 or more"
             raise InputError(f"{where} {name}: {given!r} must be {lowest}")
         out[name] = (lower, upper)
     return out
@@ -158,7 +137,13 @@ def key_unit(name: str, spec: RigFile) -> str:
     """The paper's unit of a key, as this rig has it."""
     if name == "resolution" and "radius" not in spec.geometry:
         return "m"
-    return units.with_command(KEYS[name].unit, spec.command_unit)
+    return units.with_command(written_unit(name), spec.command_unit)
+
+
+def written_unit(name: str) -> str:
+    """The paper's unit of a key, in which a bare number is taken."""
+    key = KEYS[name]
+    return key.written or (key.outside[1] if key.outside else key.unit)
 
 
 def _number(where: str, name: str, value: object, spec: RigFile) -> float:
@@ -168,7 +153,7 @@ def _number(where: str, name: str, value: object, spec: RigFile) -> float:
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         value = f"{value} {unit}"
     if isinstance(value, bool):
-        raise InputError(f"{where}: {value!r} is no quantity; give a number in {unit}")
+        raise InputError(f"{where}: invalid {value!r}: expected a number in {unit}")
     number, written = units.split(value, where)
     if "rad" in want and not written:
         written = unit
@@ -195,7 +180,7 @@ def control_period(keys: Values) -> float:
 def _one(keys: Values, name: str) -> float:
     if name in keys:
         return keys[name][0]
-    return units.to_si(PAPER[name], KEYS[name].unit, si(KEYS[name].unit), name)
+    return units.to_si(PAPER[name], written_unit(name), si(written_unit(name)), name)
 
 
 def valve_gain(keys: Values, nominal: Rig) -> float:

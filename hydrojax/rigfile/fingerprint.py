@@ -33,8 +33,12 @@ FOREIGN = {
 PLAIN = (type(None), bool, int, float, complex, str, bytes, Spec)
 """What is hashed by its `repr`, which holds the whole value."""
 
-SKIPPED = {"__doc__", "__firstlineno__", "__module__", "__static_attributes__"}
-"""Attributes of a class that do not change what it computes."""
+SKIPPED = {
+    "__doc__", "__firstlineno__", "__module__", "__slotnames__",
+    "__static_attributes__",
+}  # fmt: skip
+"""Attributes of a class that do not change what it computes: `__slotnames__` comes with
+the first pickling of an instance."""
 
 
 def code_fingerprint(*things: Any) -> str:

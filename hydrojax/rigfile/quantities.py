@@ -29,7 +29,7 @@ from hydrojax.errors import InputError
 from hydrojax.parameters import get, parameter_specs, put, specs
 from hydrojax.plant.load import Inertia
 from hydrojax.rigfile.build import build_loop, build_rig
-from hydrojax.rigfile.controller import KEYS, file_keys, si, valve_gain
+from hydrojax.rigfile.controller import KEYS, file_keys, si, valve_gain, written_unit
 from hydrojax.rigfile.schema import RigFile
 
 AMPLITUDE = 100.0
@@ -260,7 +260,7 @@ def _adaptive(spec: RigFile) -> list[Quantity]:
 
     def add(name: str, key: str, reach: Reach) -> None:
         k = KEYS[key]
-        unit = units.with_command(k.unit, spec.command_unit)
+        unit = units.with_command(written_unit(key), spec.command_unit)
         factor = units.to_si(1.0, unit, si(unit), name) * (volts if k.volts else 1.0)
         q = Quantity(name, unit, k.description, factor, reach=reach, gain=True)
         out.append(q)

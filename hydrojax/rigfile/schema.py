@@ -13,10 +13,11 @@ from hydrojax.errors import InputError, check_known
 from hydrojax.logs.tables import SIGNALS, Channel
 from hydrojax.parameters import Spec
 from hydrojax.plant.layout import LAYOUTS, Layout
-from hydrojax.plant.valve import AbstractValve
+from hydrojax.plant.valve import AbstractValve, NoValve
 from hydrojax.rigfile.plain import to_text
 from hydrojax.rigfile.sections import (
     GEOMETRY,
+    LANDS,
     LOAD,
     SUPPLY_UNITS,
     ControllerValue,
@@ -164,7 +165,7 @@ class RigFile:
     @property
     def base(self) -> dict[str, Spec]:
         """What [parameters] may hold: the base model's parameters, by name."""
-        return base_specs(self.valve)
+        return base_specs(self.valve if self.layout.has_valve else NoValve())
 
     @property
     def line(self) -> dict[str, float]:
@@ -206,6 +207,11 @@ def read_rig(
     check_known(f"{path}: [channels]", file.channels, SIGNALS, "signal")
     check_known(f"{path}: [effects]", file.effects, effects, "effect")
     base = givens(f"{path}: [parameters]", file.parameters, parameters)
+    layout = LAYOUTS[file.layout]
+    if unused := [g for g in base if not layout.has_valve and g.field in LANDS]:
+        raise InputError(
+            f"{unused[0].where}: layout {layout.name!r} has no valve; delete the line"
+        )
     added = {
         name: givens(f"{path}: [effects.{name}]", table, effects[name])
         for name, table in file.effects.items()
@@ -218,7 +224,7 @@ def read_rig(
     }
     spec = RigFile(
         name=file.name or Path(path).stem,
-        layout=LAYOUTS[file.layout],
+        layout=layout,
         geometry=section_values(f"{path}: [geometry]", file.geometry, GEOMETRY),
         supply=section_values(f"{path}: [supply]", file.supply, SUPPLY_UNITS),
         sensors=section_values(f"{path}: [sensors]", file.sensors, noise_units),

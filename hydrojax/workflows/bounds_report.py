@@ -49,7 +49,7 @@ def bounds_figure(found: Bounds) -> Figure:
 
 def _draw(ax: Any, found: Bounds, i: int, name: str) -> None:
     """A parameter's fits and bounds; the first parameter's have the labels."""
-    unit = controller.KEYS[name].unit
+    unit = controller.written_unit(name)
     factor = units.to_si(1.0, unit, controller.si(unit), name)
     for row, (way, (low, high)) in enumerate(found.bounds.items()):
         ax.plot(

@@ -147,7 +147,7 @@ def _errors(
 
 def _paper_unit(name: str, value: float) -> str:
     """A bound as [controller] has it."""
-    unit = controller.KEYS[name].unit
+    unit = controller.written_unit(name)
     factor = units.to_si(1.0, unit, controller.si(unit), name)
     return text(float(value) / factor, unit)
 

@@ -23,6 +23,8 @@ from hydrojax.identify.checking.balances import (
 from hydrojax.identify.checking.inputs import Inputs
 from hydrojax.identify.checking.regression import Fitted, Table, solved
 
+NEARLY = 0.4
+"""Relative change beyond which an input is not nearly right."""
 CLEARLY = 0.8
 """Share of a balance's error that a mend may leave."""
 BEYOND_EFFECTS = 0.9
@@ -173,7 +175,7 @@ def force_factor(of: Inputs, force: Force, floor: float) -> Factor | None:
     found = [Factor(_common(of), gain, given, common.error)]
     if {"P_a1", "P_a2"} <= of.logged:
         found += _one_sided(of, force, 0.97 * common.error)
-    found = [f for f in found if abs(f.factor - 1) > AREA]
+    found = [f for f in found if AREA < abs(f.factor - 1) < NEARLY]
     best = min(found, key=_mended, default=None)
     if best is None:
         return None
@@ -215,7 +217,7 @@ def _beside_effects(of: Inputs, wide: Table, floor: float) -> Factor | None:
     without = solved(wide.holding(PUSHES), (*FRICTION, *effects))
     gain = with_gain.values["push"]
     closes = with_gain.error < min(AT_FLOOR * floor, CLEARLY * without.error)
-    if not closes or abs(gain - 1) < AREA:
+    if not closes or not AREA < abs(gain - 1) < NEARLY:
         return None
     return Factor(_common(of), gain, without.error, with_gain.error)
 

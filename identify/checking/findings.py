@@ -18,6 +18,7 @@ from hydrojax.identify.checking.factors import (
 from hydrojax.identify.checking.inputs import Inputs
 from hydrojax.identify.checking.regression import bump
 from hydrojax.identify.checking.search import searched
+from hydrojax.identify.checking.sensors import DEAD
 from hydrojax.identify.checking.words import Finding
 from hydrojax.parameters import Spec
 
@@ -32,6 +33,9 @@ def inputs_that_lie(
         channels: what the logs' channels are like; see `channel_table`.
         known: the parameters of [parameters].
     """
+    sensors = words.of_sensors(channels)
+    if any(f.finding == "stuck" and channels.repeated[f.input] > DEAD for f in sensors):
+        return tuple(sensors)  # no balance closes with a dead sensor
     mended, scale, found = of, dict.fromkeys(channels.index, 1.0), []
     for mend, before, after in searched(of):
         found.append(words.of_mend(mend, before, after, of))
@@ -57,7 +61,7 @@ def inputs_that_lie(
             found.append(words.of_left_out(out, "N", 1.0, known, of))
     found += words.of_noise(of, noise)
     blamed = {name for f in found for name in f.input.split(", ")}
-    return (*found, *(f for f in words.of_sensors(channels) if f.input not in blamed))
+    return (*found, *(f for f in sensors if f.input not in blamed))
 
 
 def _floor(of: Inputs, noise: Mapping[str, float]) -> float:

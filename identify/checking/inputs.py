@@ -37,6 +37,10 @@ FORCE_WINDOW = 0.02
 """Seconds of a window of the force balance: friction turns within some 0.1 s."""
 FEWEST = (8, 4)
 """Ticks that such a window has at least."""
+ENOUGH = 40
+"""Windows below which a balance is not drawn up."""
+MOVES = 0.05
+"""Share of the ticks in which a command must differ from its median."""
 MOST = 30_000
 """Ticks that are looked at: more only cost time."""
 
@@ -68,7 +72,7 @@ class Inputs:
         """The signal that the position is taken from."""
         return "x" if "x" in self.logged else "psi"
 
-    @property
+    @cached_property
     def has_flow(self) -> bool:
         """Whether the balance of flow can be drawn up."""
         return (
@@ -76,13 +80,24 @@ class Inputs:
             and self.spec.layout.has_valve
             and len(self.spec.layout.pressures) == 2
             and self.spec.valve is None
+            and self._windows(self.ticks[0], 0.0) >= ENOUGH
+            and float(np.mean([np.mean(s.u != np.median(s.u)) for s in self.stretches]))
+            > MOVES
         )
 
-    @property
+    @cached_property
     def has_force(self) -> bool:
         """Whether the balance of force can be drawn up."""
         needs = set(self.spec.layout.pressures) or {"P"}
-        return {"F", *needs} <= self.logged
+        enough = self._windows(self.ticks[1], SETTLE) >= ENOUGH
+        return {"F", *needs} <= self.logged and enough
+
+    def _windows(self, ticks: int, settle: float) -> int:
+        """Windows of all stretches, without those of the first `settle` seconds."""
+        each = [
+            (len(s.x) - settle / s.h) / max(ticks // 2, 1) - 2 for s in self.stretches
+        ]
+        return int(sum(max(n, 0.0) for n in each))
 
     @cached_property
     def h(self) -> float:

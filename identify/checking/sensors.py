@@ -20,6 +20,8 @@ STANDSTILL = 2e-4
 second."""
 STUCK = 0.1
 """Seconds of one and the same reading from which a noisy sensor is stuck."""
+DEAD = 0.99
+"""Share of readings equal to the one before from which a sensor is dead."""
 CLIPPED = 1e-3
 """Share of the readings at an end of the range, in runs, from which it is clipped."""
 ROLL_OFF = 6.0

@@ -15,7 +15,7 @@ from hydrojax.identify.checking.factors import Factor, LeftOut
 from hydrojax.identify.checking.inputs import Inputs
 from hydrojax.identify.checking.regression import solved
 from hydrojax.identify.checking.search import Mend, Trial
-from hydrojax.identify.checking.sensors import CLIPPED, SENSORS, STUCK, VACUUM
+from hydrojax.identify.checking.sensors import CLIPPED, DEAD, SENSORS, STUCK, VACUUM
 from hydrojax.logs.tables import SIGNALS
 from hydrojax.parameters import Spec
 from hydrojax.rigfile.edit import text
@@ -23,6 +23,9 @@ from hydrojax.rigfile.edit import text
 NOISE = (1 / 6, 7.0)
 """Ratios of a channel's noise to the stated one beyond which that is called: a slip of
 ten, less what colour takes from the differences and a lively force adds to them."""
+
+SLOWEST = 5e-3
+"""Seconds of a step beyond which differences are of the signal and not of its noise."""
 
 SLIPS: Mapping[str, Sequence[tuple[float, str, str]]] = {
     "Pa": (
@@ -249,7 +252,7 @@ def of_noise(of: Inputs, noise: Mapping[str, float]) -> list[Finding]:
     out = []
     for name, stated in of.spec.sensors.items():
         ratio = noise.get(name, stated) / stated
-        if name not in noise or NOISE[0] < ratio < NOISE[1]:
+        if of.h > SLOWEST or not ratio or NOISE[0] < ratio < NOISE[1]:
             continue
         unit = units.with_command(SIGNALS[name], of.spec.command_unit)
         line = f'[sensors] {name} = "{text(float(f"{noise[name]:.3g}"), unit)}"'
@@ -273,7 +276,7 @@ def of_sensors(channels: pd.DataFrame) -> list[Finding]:
 
     for name in (n for n in SENSORS if n in channels.index):
         own = channels.loc[name]
-        if own.high > own.low and own.stuck > STUCK and own.repeated < 0.5:
+        if own.high > own.low and own.stuck > STUCK and not 0.5 < own.repeated < DEAD:
             add(name, "stuck", f"{name} stands at one reading for {own.stuck:.2g} s: "
                 "leave these cells empty, or take the column out")  # fmt: skip
         if own.at_ends > CLIPPED and own.repeated < 0.5:

@@ -84,8 +84,13 @@ def styled(
 
 
 def judged(outcome: Outcome) -> str:
-    """Which logs the errors before and after are of: `test` or `validation`."""
-    return "test" if outcome.test_logs else "validation"
+    """Which logs the errors before and after are of: `test`, `validation`, `fitted`."""
+    return "test" if outcome.test_logs else replayed(outcome)
+
+
+def replayed(outcome: Outcome) -> str:
+    """Which logs the residuals are of: `validation`, or `fitted` without any."""
+    return "validation" if outcome.validate_logs else "fitted"
 
 
 def _plain(value: float, _: object = None) -> str:

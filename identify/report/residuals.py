@@ -94,7 +94,7 @@ def loop_figure(outcome: Outcome) -> Figure | None:
     loop = outcome.loops[0]
     figure = sheet(4.2)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    first = _liveliest(loop.t, loop.desired)
+    first = _most_varied(loop.t, loop.desired)
     part = slice(first, int(np.searchsorted(loop.t, loop.t[first] + LOOP_SECONDS)))
     t = loop.t[part]
     size = float(np.max(np.abs(loop.measured[part])))
@@ -120,7 +120,7 @@ def loop_figure(outcome: Outcome) -> Figure | None:
     return figure
 
 
-def _liveliest(t: np.ndarray, y: np.ndarray) -> int:
+def _most_varied(t: np.ndarray, y: np.ndarray) -> int:
     """Where the stretch of LOOP_SECONDS begins in which `y` changes most."""
     change = np.cumsum(np.abs(np.gradient(y)))
     last = np.searchsorted(t, t + LOOP_SECONDS)

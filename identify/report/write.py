@@ -200,7 +200,8 @@ def _residual_said(outcome: Outcome) -> tuple[str, str]:
     more = f" {rest} more logs are not drawn." if rest else ""
     return (
         f"Residual over time before and after, in {', '.join(logs)}.",
-        "Measured minus replayed over time on validation logs, condensed to the "
+        f"Measured minus replayed over time on {figures.replayed(outcome)} logs, "
+        "condensed to the "
         "smallest and largest value per pixel; broken where the log has gaps or is "
         f"not compared.{more}",
     )
@@ -214,7 +215,7 @@ def _loop_said(outcome: Outcome) -> tuple[str, str]:
         "The log's desired force in the simulated loop: the identified rig, the "
         "paper's law with the rig file's [controller]; motion and supply are the "
         "log's. The "
-        f"liveliest {residuals.LOOP_SECONDS:g} s.",
+        f"{residuals.LOOP_SECONDS:g} s of the largest variation.",
     )
 
 

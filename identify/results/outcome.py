@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.tracing.criteria import Criteria
 
 
@@ -74,7 +75,8 @@ def skill_text(h: Horizon | None) -> str:
 @dataclass(frozen=True)
 class ChannelErrors:
     """Error of one channel, RMS, SI: on the test logs where there are any, and then
-    that on the validation logs is `validate`; else on the validation logs.
+    that on the validation logs is `validate`; else on the validation logs, or on the
+    fitted ones where there are none of either.
 
     `horizons` are errors by length of the run: "0.25", "1", "5" (seconds), "free".
     """
@@ -216,8 +218,9 @@ class Outcome:
     `verdict` is "nothing missing", "explained" or "unknown"; `sentence` says it.
     `limits` are sentences on what is at a range's end or not identified. `rig_file` is
     the rig file with the identified values and the effects found; `values` are
-    all parameters by name, SI, as stored; `criteria` the
-    thresholds that decided.
+    all parameters by name, SI, as stored; `criteria` the thresholds that decided;
+    `inputs` what looks wrong with rig file and logs. `validate_logs` are empty where
+    none were given: errors are then those of the fitted logs.
     """
 
     command: str
@@ -241,6 +244,7 @@ class Outcome:
     test_logs: tuple[str, ...] = ()
     values: dict[str, float] = field(default_factory=dict)
     criteria: Criteria = Criteria()
+    inputs: tuple[Finding, ...] = ()
 
     @property
     def explained_share(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,7 @@ from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log
 from hydrojax.parameters import Spec, get, parameter_specs, put
+from hydrojax.plant.places import hydraulic_names
 from hydrojax.rigfile.build import build_loop, build_rig, inverts
 from hydrojax.rigfile.edit import identified
 from hydrojax.rigfile.recording import longest, rerun
@@ -72,14 +74,36 @@ def parameter_of(
 def parameters_of(
     case: Case, state: Tracing, uncertainty: Uncertainty
 ) -> dict[str, Parameter]:
-    """Base parameters and those of effects that the rig file declares."""
-    out = {}
-    for name, spec in parameter_specs(state.problem.model.rig).items():
+    """Base parameters and those of effects that the rig file declares.
+
+    Without a valve the chambers do not take part, and are left out.
+    """
+    rig, out = state.problem.model.rig, {}
+    unused = frozenset() if case.spec.layout.has_valve else hydraulic_names(rig)
+    for name, spec in parameter_specs(rig).items():
+        if name in unused:
+            continue
         effect = name.split(".")[0] if "." in name else None
         if effect is None or effect in case.spec.effects:
             shown, p = parameter_of(name, case, state, uncertainty, spec)
             out[f"{effect}.{shown}" if effect else shown] = p
     return out
+
+
+ALIASES: Mapping[str, tuple[str, ...]] = {
+    "loadcell_gain": ("area", "area_1", "area_2"),
+    "dead_volume": ("delta_1", "delta_2"),
+    "viscous_friction": ("k_vp", "k_vn"),
+}
+"""Constants of a rig file with which an effect is exactly the same: a load cell's gain
+with the areas, what stands beside a chamber with its length, friction with speed."""
+
+
+def aliases(effect: str, spec: RigFile) -> tuple[str, ...]:
+    """The constants that a rig file holds, and an effect is exactly the same as."""
+    held = {n for n, e in spec.parameters.items() if e.range is None}
+    held |= set(spec.geometry)
+    return tuple(n for n in ALIASES.get(effect, ()) if n in held)
 
 
 def named_effects(
@@ -110,7 +134,10 @@ def named_effects(
                 p_value=added.p_value,
                 before={CHANNELS[c]: float(ends[i][c]) for c in seen},
                 after={CHANNELS[c]: float(ends[i + 1][c]) for c in seen},
-                cannot_tell_from=added.cannot_tell_from,
+                cannot_tell_from=(
+                    *added.cannot_tell_from,
+                    *aliases(added.name, case.spec),
+                ),
                 residual_axis=EFFECTS[added.name].residual_axis,
                 share=(excess[i] - excess[i + 1]) / max(excess[0], 1e-12),
             )

@@ -41,6 +41,7 @@ def report_json(outcome: Outcome) -> dict[str, Any]:
         "unexplained": [_unexplained(u) for u in o.unexplained],
         "closed_loop": [_loop(c) for c in o.loops],
         "covariance": asdict(o.covariance) if o.covariance else None,
+        "inputs": [asdict(f) for f in o.inputs],
         "limits": o.limits,
         "notes": o.notes,
         "seconds": o.seconds,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hydrojax.effects import EFFECTS
+from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.inference.uncertainty import Uncertainty
@@ -66,7 +68,7 @@ def summarise(
         command=command,
         rig=case.spec.name,
         fit_logs=tuple(log.name for log in case.fit_logs),
-        validate_logs=tuple(log.name for log in case.check_logs),
+        validate_logs=tuple(log.name for log in case.check_logs if case.held_out),
         test_logs=tuple(log.name for log in case.test_logs),
         verdict=verdict,
         sentence=_without_skill(channels, state.criteria.at_noise)
@@ -79,7 +81,8 @@ def summarise(
         limits=(
             *uncertainty.limits,
             *_undecided(effects),
-            *_untested(channels, verdict, state.criteria.at_noise),
+            *_same_as_inputs(effects, uncertainty),
+            *_untested(case, channels, verdict, state.criteria.at_noise),
         ),
         notes=_notes(case),
         series=series_of(case, before, after, signals, seen),
@@ -102,7 +105,7 @@ def _channels(
     seen: list[int],
 ) -> dict[str, ChannelErrors]:
     """Errors at the values `ends` [n]: of the test logs where there are any, with those
-    of the validation logs, which are `errors` [3], beside them.
+    of the validation logs, if any, which are `errors` [3], beside them.
     """
     own, judged = errors, state.check
     if case.test is not None:
@@ -118,7 +121,7 @@ def _channels(
             float(state.noise[c]),
             float(own[0][c]),
             float(own[1][c]),
-            None if case.test is None else beside,
+            beside if case.test is not None and case.held_out else None,
             horizons[CHANNELS[c]],
         )
     return out
@@ -152,16 +155,17 @@ def _left(
 
 
 def _untested(
-    channels: Mapping[str, ChannelErrors], verdict: str, at_noise: float
+    case: Case, channels: Mapping[str, ChannelErrors], verdict: str, at_noise: float
 ) -> list[str]:
-    """Test errors that disagree with a verdict of the validation logs."""
-    if verdict == "unknown":
+    """Test errors that disagree with a verdict of the other logs."""
+    if verdict == "unknown" or case.test is None:
         return []
+    others = "validation" if case.held_out else "fitted"
     return [
         f"{name} is {c.after / c.noise:.2f} times its noise on the test logs, which "
-        "took part in no decision: the verdict holds for the validation logs"
+        f"took part in no decision: the verdict holds for the {others} logs"
         for name, c in channels.items()
-        if c.validate is not None and c.after > at_noise * c.noise
+        if c.after > at_noise * c.noise
     ]
 
 
@@ -172,13 +176,37 @@ def _undecided(effects: tuple[FoundEffect, ...]) -> list[str]:
         f"--separate {e.name} {other}` finds an experiment that distinguishes them"
         for e in effects
         for other in e.cannot_tell_from
+        if other in EFFECTS
     ]
+
+
+def _same_as_inputs(
+    effects: tuple[FoundEffect, ...], uncertainty: Uncertainty
+) -> list[str]:
+    """Inputs that would look just the same, with their size where it is known."""
+    out = []
+    for e in effects:
+        if e.name == "loadcell_gain":
+            off = 100 * e.parameters["eps"].value
+            out.append(
+                f"loadcell_gain of {off:.2g} % is the same as areas that are "
+                f"{abs(off):.2g} % too {'small' if off > 0 else 'large'}, or a load "
+                "cell that is: no log tells these apart"
+            )
+    ends = [n for n in ("delta_1", "delta_2") if n in uncertainty.ends]
+    if ends:
+        out.append(
+            f"{' and '.join(ends)}: an offset of the position's zero is the same as "
+            "delta_1 and delta_2 of opposite signs"
+        )
+    return out
 
 
 def _notes(case: Case) -> tuple[str, ...]:
     notes = list(dict.fromkeys((*case.fit.notes, *case.check.notes)))
     if not case.held_out:
-        notes.insert(0, "no validation log was given: errors are on the fitted logs")
+        judged = "the verdict is of" if case.test is not None else "errors are on"
+        notes.insert(0, f"no validation log was given: {judged} the fitted logs")
     if not case.spec.sensors:
         notes.append("the noise of every channel was estimated from the logs")
     ignored = sorted({c for log in case.fit_logs for c in log.ignored})
@@ -200,7 +228,7 @@ WHY = {
     "too small": "lowers the validation error, by too little to matter",
     "does not help": "does not lower the validation error beyond chance",
     "explains too little": "leaves most of what stands above the noise",
-    "needless": "was added first, and made needless by what was added later",
+    "needless": "was added first, and made unnecessary by what was added later",
 }
 
 
@@ -285,3 +313,13 @@ def _sentence(
     if command == "identify":
         return f"The declared model does not explain {channels}: {rest}. Try trace."
     return f"{start}no known effect explains the residual of {channels}: {rest}."
+
+
+def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
+    """The outcome with what looks wrong with the inputs, which is said first."""
+    if not found:
+        return outcome
+    # Nothing is blamed that an effect explains as well: see `checking.factors`.
+    more = ", and explains at least as much as any effect" if outcome.effects else ""
+    lead = f"An input looks wrong{more}: {found[0].says}."
+    return replace(outcome, inputs=found, sentence=f"{lead} {outcome.sentence}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -19,6 +20,7 @@ import scipy.io
 
 from hydrojax import __version__, api, cli
 from tests.conftest import Said
+from tests.pages import ROOT, TUTORIAL, blocks, commands, differences
 
 RIG = """\
 name = "bench"
@@ -388,21 +390,31 @@ KEYS = {
 }  # fmt: skip
 
 
-def test_identify_writes_the_contracts_report(call, recorded, tmp_path):
-    case, out = recorded(1), tmp_path / "made" / "out"
-    said = call(
-        "identify", case / "rig.toml", case / "fit_1.csv", case / "fit_2.csv",
-        "--validate", case / "validate.csv", "--out", out, "--starts", 1,
-    )  # fmt: skip
+@pytest.fixture(scope="module")
+def tutorial(tmp_path_factory) -> Path:
+    """Where the tutorial's commands are run: a folder with the package's demo."""
+    folder = tmp_path_factory.mktemp("tutorial")
+    (folder / "hydrojax").symlink_to(ROOT / "hydrojax")
+    return folder
+
+
+def test_identify_writes_the_contracts_report(call, tutorial, monkeypatch):
+    """By the tutorial's command, which prints what the tutorial shows."""
+    (line,) = (c for c in commands(TUTORIAL) if " identify " in c)
+    (shown,) = (b for b in blocks(TUTORIAL, "text") if "Try trace" in b)
+    monkeypatch.chdir(tutorial)
+    said = call(*shlex.split(line)[1:])
     assert said.code == 0, said.err
+    assert differences(shown, said.out) == []
+    out = tutorial / "declared"
     report = json.loads((out / "report.json").read_text())
     for key, kind in KEYS.items():
         assert isinstance(report[key], kind), key
     assert report["format"] == "hydrojax-report/1"
     assert report["command"] == "identify"
     assert report["logs"] == {
-        "fit": ["fit_1.csv", "fit_2.csv"],
-        "validate": ["validate.csv"],
+        "fit": ["fit_1.csv.gz", "fit_2.csv.gz"],
+        "validate": ["validate.csv.gz"],
         "test": [],
     }
     assert set(report["channels"]) == {"P_a1", "P_a2", "F"}

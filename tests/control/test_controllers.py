@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 
-from hydrojax.control.adaptive import Law, adaptive_law
+from hydrojax.control.adaptive import VALVE_GAIN, Law, adaptive_law
 from hydrojax.control.base import AbstractController, Gain
 from hydrojax.control.baselines import PIController
-from hydrojax.control.loop import signal_names
+from hydrojax.control.loop import Loop, Sensors, signal_names
 from hydrojax.control.simulation import make_scenario, simulate_loop
 from hydrojax.control.waveforms import sinusoidal_path
 from hydrojax.errors import InputError
 from hydrojax.paper import experiments
 from hydrojax.parameters import param, specs
 from hydrojax.rigfile.build import build_loop
-from hydrojax.rigfile.controller import KEYS, file_keys, valve_gain
+from hydrojax.rigfile.controller import KEYS, file_keys, valve_gain, written_unit
 from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import linearize
@@ -128,7 +128,10 @@ def test_gains_are_declared_once():
     for name, s in specs(Law).items():
         assert isinstance(s, Gain)
         assert KEYS[name].description == s.description
-        assert KEYS[name].unit == (s.written or s.unit)
+        assert written_unit(name) == (s.written or s.unit)
+    assert KEYS["rate"] is specs(Loop)["h"]
+    assert KEYS["resolution"] is specs(Sensors)["step"]
+    assert KEYS["kappa"] is VALVE_GAIN
     file = RigFile.load(RIG)
     assert valve_gain(file_keys(file), build_loop(file).law.nominal) > 0
     assert inspect.isabstract(AbstractController)

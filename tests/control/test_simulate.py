@@ -25,7 +25,7 @@ from hydrojax.plant.load import Driven, Inertia
 from hydrojax.plant.places import PLACES
 from hydrojax.rigfile import recording
 from hydrojax.rigfile.build import build_loop, build_rig
-from hydrojax.rigfile.controller import KEYS
+from hydrojax.rigfile.controller import KEYS, written_unit
 from hydrojax.rigfile.scenarios import rig_scenario
 from hydrojax.rigfile.schema import RigFile
 from tests.conftest import Said
@@ -96,7 +96,7 @@ def test_a_bare_number_is_in_the_papers_unit(load, key):
     law = si(f'kappa = "1.18e-4 m^2/(s*V)"\n{key} = 0.37', load)
     assert found(law, key) == pytest.approx((want, want), rel=1e-12)
     # The same with the paper's unit written out, and as --gains.
-    unit = KEYS[key].unit.replace("{u}", "V")
+    unit = written_unit(key).replace("{u}", "V")
     law = si(f'kappa = "1.18e-4 m^2/(s*V)"\n{key} = "0.37 {unit}"', load)
     assert found(law, key) == pytest.approx((want, want), rel=1e-12)
 

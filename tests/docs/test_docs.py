@@ -9,7 +9,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +20,9 @@ import typer
 from hydrojax import cli
 from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.rigfile.schema import RigFile
+from tests.pages import ROOT, TUTORIAL, blocks, commands
 
-ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
-
-
-def blocks(path: Path, *kinds: str) -> Iterator[str]:
-    """A page's code blocks of these kinds."""
-    fence = re.compile(r"^```([^\n]*)\n(.*?)^```", re.M | re.S)
-    for kind, text in fence.findall(path.read_text(encoding="utf-8")):
-        if kind.strip() in kinds:
-            yield text
 
 
 # -- the site --
@@ -143,13 +135,6 @@ def test_a_broken_link_and_a_broken_anchor_fail_the_build(tmp_path):
 # -- the commands that the pages show --
 
 
-def commands(path: Path) -> list[str]:
-    """Every `hydrojax ...` line of a page's shell blocks, continued lines joined."""
-    text = "\n".join(blocks(path, "", "bash", "console", "sh"))
-    lines = (line.strip() for line in text.replace("\\\n", " ").splitlines())
-    return [line for line in lines if line.startswith("hydrojax ")]
-
-
 def parse(line: str) -> typer.Context | None:
     """Take a command line apart as the program does, without running it."""
     group: Any = typer.main.get_command(cli.app)
@@ -187,7 +172,7 @@ def test_a_command_that_is_none_is_not_taken(line):
 
 def test_the_tutorial_s_last_command_runs(call, tmp_path, monkeypatch):
     """On the demo's rig in place of the tuned one, which takes minutes to make."""
-    (line,) = (c for c in commands(ROOT / "docs/tutorial.md") if " export " in c)
+    (line,) = (c for c in commands(TUTORIAL) if " export " in c)
     (tmp_path / "tuned").mkdir()
     rig = (ROOT / "hydrojax/demo/rig.toml").read_text()
     (tmp_path / "tuned/rig.toml").write_text(rig)

@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.report import explorer, figures, residuals, write
 from hydrojax.identify.results.outcome import (
     Candidate,
@@ -25,6 +26,7 @@ from hydrojax.identify.results.outcome import (
     Unexplained,
 )
 from hydrojax.identify.results.report_json import report_json
+from hydrojax.identify.results.summary import with_inputs
 from hydrojax.report import files, text
 
 NOISE = {"P_a1": 9e3, "P_a2": 9e3, "F": 2.5}
@@ -219,6 +221,7 @@ CONTRACT = {
     "unexplained": list,
     "closed_loop": list,
     "covariance": dict,
+    "inputs": list,
     "limits": list,
     "notes": list,
     "seconds": dict,
@@ -562,3 +565,42 @@ def test_the_loop_run_again_stands_in_the_page(written):
     assert found["closed_loop"][0]["tracking_measured"] == 14.1
     other = (written / "identified" / "report.html").read_text(encoding="utf-8")
     assert "closed loop" not in other
+
+
+# -- inputs, and three splits --
+
+
+def lied() -> Outcome:
+    """An area that is wrong, and the effect that it looks like."""
+    area = Finding("area", "factor", 0.98, 6.9, 4.1, "N", "area is 2 % too large")
+    return with_inputs(explained(), (area,))
+
+
+def test_an_input_that_looks_wrong_is_said_first(tmp_path):
+    write.write_report(lied(), tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["inputs"] == [
+        {
+            "input": "area", "finding": "factor", "factor": 0.98, "error": 6.9,
+            "error_if_mended": 4.1, "unit": "N", "says": "area is 2 % too large",
+        }
+    ]  # fmt: skip
+    assert report["sentence"].startswith("An input looks wrong")
+    assert "area is 2 % too large" in report["sentence"]
+    assert "Inputs that look wrong" in (tmp_path / "report.html").read_text()
+
+
+def test_nothing_is_said_of_inputs_that_are_plausible(tmp_path):
+    outcome = with_inputs(explained(), ())
+    assert outcome.sentence == explained().sentence
+    write.write_report(outcome, tmp_path)
+    assert json.loads((tmp_path / "report.json").read_text())["inputs"] == []
+    assert "look wrong" not in (tmp_path / "report.html").read_text()
+
+
+def test_fitted_logs_are_not_called_validated(tmp_path):
+    write.write_report(replace(explained(), validate_logs=()), tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "never fitted" not in page
+    assert "on the fitted logs" in page and "validation logs" not in page
+    assert json.loads((tmp_path / "report.json").read_text())["logs"]["validate"] == []

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hydrojax.cli.identify import print_outcome
 from hydrojax.identify.api import trace_case
 from hydrojax.identify.case import open_case
 from hydrojax.identify.report.write import write_report
@@ -21,11 +22,11 @@ from hydrojax.identify.results.report_json import report_json
 from hydrojax.identify.results.unexplained import dependence, spectral_line, unexplained
 from hydrojax.identify.tracing.score import Projection, Score, family, score
 from tests import generator
+from tests.pages import ROOT, TUTORIAL, blocks, differences
 
 CASES = {
     "none": (1, {}),
     "internal_leakage": (4, {"internal_leakage": {}}),
-    "stribeck": (6, {"stribeck": {}}),
     "force_ripple": (7, {"force_ripple": {"force": 60.0, "frequency": 13.0}}),
     "late_film": (8, {"frictional_lag": {"tau_h": 0.15}}),
     "wide_stribeck": (9, {"stribeck": {"k_st": 300.0, "v_s": 0.01}}),
@@ -33,17 +34,27 @@ CASES = {
 }
 """Seed and effects of each case."""
 
+DEMO = ROOT / "hydrojax/demo"
+"""The package's demo, another plant's: its truth is a Stribeck curve."""
+
+WANTED = {
+    "internal_leakage": generator.CATALOGUE["internal_leakage"],
+    "stribeck": {"k_st": 550.0, "v_s": 4e-3},
+}
+"""What there is to find where an effect is measured."""
+
 
 @pytest.fixture(scope="module")
 def traced(recorded) -> Callable[[str], Outcome]:
-    """The trace of a case, made once."""
+    """The trace of a case, made once; of the demo by the name `stribeck`."""
     made: dict[str, Outcome] = {}
 
     def of(name: str) -> Outcome:
         if name not in made:
-            case = recorded(*CASES[name])
-            logs = [case / "fit_1.csv", case / "fit_2.csv"]
-            opened = open_case(case / "rig.toml", logs, [case / "validate.csv"])
+            demo = name == "stribeck"
+            case, end = (DEMO, "csv.gz") if demo else (recorded(*CASES[name]), "csv")
+            logs = [case / f"fit_1.{end}", case / f"fit_2.{end}"]
+            opened = open_case(case / "rig.toml", logs, [case / f"validate.{end}"])
             made[name] = trace_case(opened)
         return made[name]
 
@@ -83,7 +94,7 @@ def test_an_effect_is_named_and_measured(traced, name):
     assert outcome.verdict == "explained"
     assert max(ratios(outcome).values()) < 1.1
     (effect,) = outcome.effects
-    wanted = generator.CATALOGUE[name]
+    wanted = WANTED[name]
     assert set(effect.parameters) == set(wanted)
     for parameter, value in wanted.items():
         share = 0.02 if name == "internal_leakage" else 0.1
@@ -129,7 +140,7 @@ def test_leakage_is_seen_in_the_pressures_and_friction_in_the_force(traced):
 
 
 def test_the_rig_is_found_under_the_effect(traced, recorded):
-    for name in ("internal_leakage", "stribeck"):
+    for name in ("internal_leakage", "wide_stribeck"):
         case = recorded(*CASES[name])
         rig = json.loads((case / "truth.json").read_text())["rig"]
         found = traced(name).parameters
@@ -154,7 +165,7 @@ def test_what_no_catalogue_names_is_left_unknown_and_described(traced):
     assert left.description in outcome.sentence
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [*CASES, "stribeck"])
 def test_the_outcome_is_consistent_with_itself(traced, name):
     outcome = traced(name)
     catalogue = {c.name for c in outcome.candidates}
@@ -202,6 +213,12 @@ def test_the_report_says_the_same(traced, tmp_path):
     assert effect["parameters"]["c_il"]["unit"] == "m^3/(s*Pa)"
     wanted = {"name", "status", "p_value", "power"}
     assert all(wanted <= set(c) for c in report["candidates"])
+
+
+def test_the_tutorial_shows_what_a_trace_prints(traced, capsys):
+    (shown,) = (b for b in blocks(TUTORIAL, "text") if b.startswith("explained"))
+    print_outcome(traced("stribeck"))
+    assert differences(shown, capsys.readouterr().out) == []
 
 
 # -- scores, against plain least squares --

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from hydrojax.errors import InputError
-from hydrojax.parameters import Spec
+from hydrojax.parameters import Spec, parameter_specs, specs
+from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile, read_rig
 from hydrojax.rigfile.sections import Entry
 
@@ -154,6 +155,16 @@ def test_dimensionless_command(tmp_path: Path) -> None:
     assert rig.parameters["c_p1"] == Entry(2e-9, (0.0, 1e-8), "m^3/(s*Pa^0.5)")
     assert rig.effects["null_bias"]["u_0"] == Entry(0.02, None, "1")
     assert rig.sensors["u"] == pytest.approx(1e-3)
+
+
+def test_an_axis_without_a_valve_has_no_constants_of_one(tmp_path: Path) -> None:
+    head = 'layout = "driven-axis"\n[parameters]\n'
+    rig = RigFile.from_text(head + 'k_cp = "20 N"')
+    assert not {"c_p1", "c_n2"} & set(rig.base) and "k_cp" in rig.base
+    built = build_rig(rig)
+    assert specs(built.valve) == {} and "c_p1" not in parameter_specs(built)
+    with pytest.raises(InputError, match=r"c_n1: layout 'driven-axis' has no valve"):
+        RigFile.from_text(head + 'c_n1 = "1e-9 m^3/(s*V*Pa^0.5)"')
 
 
 def test_command_is_in_volts_if_nothing_says(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,12 @@ import pandas as pd
 import psutil
 import pytest
 
+from hydrojax.control.baselines import PIController
 from hydrojax.effects.friction import ViscousFriction
+from hydrojax.errors import InputError
 from hydrojax.identify import api as identifying
 from hydrojax.identify.case import open_case
+from hydrojax.rigfile.fingerprint import code_fingerprint
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import api, sweep
 from hydrojax.workflows.fleet import friction, merged, summary, sweeps
@@ -365,6 +369,31 @@ def test_a_cluster_that_loses_a_worker_loses_nothing(tmp_path):
     # What was under way when the worker was lost may have begun twice.
     assert sorted(set(calls(tmp_path))) in ([1], [1, 2])
     assert sum(calls(tmp_path)) <= 31
+
+
+class Own(PIController):
+    """A controller of a user's own, in a file that workers can import."""
+
+
+def test_sending_a_controller_to_workers_leaves_its_fingerprint():
+    before = code_fingerprint(Own())
+    sent = pickle.dumps(Own())
+    assert code_fingerprint(pickle.loads(sent)) == code_fingerprint(Own()) == before
+
+
+def test_a_controller_of_the_running_script_is_refused(tmp_path, monkeypatch):
+    """Workers could not import it: one line, before a worker starts."""
+    monkeypatch.setattr(Own, "__module__", "__main__")
+    rig = RigFile.load(ROOT / "hydrojax" / "paper" / "reference.toml")
+    asked = {"axes": {"k_p": [1.0, 2.0]}}
+    with pytest.raises(InputError, match="Own is defined in the running script"):
+        sweeps.share_sweep(replace(rig, law=Own()), asked, (), tmp_path, "local:2")
+
+
+def test_what_a_worker_cannot_import_is_one_line(tmp_path):
+    unit = sweeps.Unit("a", b"cgone\nMyPI\n.", (), str(tmp_path), "linear", 0)
+    with pytest.raises(InputError, match="cannot import .* No module named 'gone'"):
+        sweeps.work_out(unit)
 
 
 def test_a_sweep_s_chunks_are_the_same_from_any_worker(tmp_path, monkeypatch):

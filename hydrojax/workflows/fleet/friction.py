@@ -40,15 +40,15 @@ def friction_box(
 ) -> FleetBounds | None:
     """The smallest box that holds the next run's friction at a confidence.
 
-    Of the friction parameters those that most fits tell; of the fits those that tell
-    all of these, and about as well as most do. The fits' own uncertainty is taken out
-    of their scatter. None where they are fewer than `FEW`.
+    Of the friction parameters those that most fits identify; of the fits those that
+    identify all of these, with about the common standard deviation. The fits' own
+    uncertainty is taken out of their scatter. None where they are fewer than `FEW`.
     """
     good = [r for r in records if r.get("friction")]
     names = tuple(
-        n for n in Theta._fields if 2 * sum(_tells(r, n) for r in good) > len(good)
+        n for n in Theta._fields if 2 * sum(_identifies(r, n) for r in good) > len(good)
     )
-    fits = [r for r in good if all(_tells(r, n) for n in names)]
+    fits = [r for r in good if all(_identifies(r, n) for n in names)]
     if not names or len(fits) < FEW:
         return None
     stretches = [_stretch(r, names) for r in fits]
@@ -65,7 +65,7 @@ def friction_box(
     return FleetBounds(box, units, np.array([s.theta for s in stretches]), len(good))
 
 
-def _tells(record: dict[str, Any], name: str) -> bool:
+def _identifies(record: dict[str, Any], name: str) -> bool:
     p = record["parameters"].get(name)
     return bool(p and p["identified"]) and name in record["friction"]["ranges"]
 

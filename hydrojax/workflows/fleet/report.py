@@ -96,7 +96,7 @@ def controller_lines(bounds: FleetBounds) -> list[str]:
     for name, *ends in zip(
         bounds.box.names, bounds.box.lower, bounds.box.upper, strict=True
     ):
-        unit = controller.KEYS[name].unit
+        unit = controller.written_unit(name)
         factor = units.to_si(1.0, unit, controller.si(unit), name)
         low, high = (text(float(f"{e / factor:.4g}"), unit) for e in ends)
         out.append(f'{name} = ["{low}", "{high}"]')

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hydrojax.effects import load_effects
+from hydrojax.errors import InputError
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import sweep
@@ -52,8 +53,10 @@ def share_sweep(
         progress: called with the chunks done and their total number.
 
     Raises:
-        InputError: invalid arguments, folder or address.
+        InputError: invalid arguments, folder or address; or a controller or a valve
+            that workers cannot import.
     """
+    _refuse_script(rig)
     whole = pickle.dumps((rig, dict(arguments)))
     own = tuple(str(Path(p).absolute()) for p in effects)
     left = sweep.left(plan_sweep(rig, **arguments), out)
@@ -73,6 +76,18 @@ def share_sweep(
         share_out(units, work_out, found, count_one, lambda unit, _: unit)
 
 
+def _refuse_script(rig: RigFile) -> None:
+    """Refuse a controller or a valve that a worker could not import."""
+    for own in (rig.law, rig.valve):
+        name, module = type(own).__qualname__, type(own).__module__
+        if module == "__main__" or "<locals>" in name:
+            raise InputError(
+                f"--cluster: {name} is defined in the running script or notebook, "
+                "which workers cannot import; move it to a file of its own and import "
+                "it from there"
+            )
+
+
 def work_out(unit: Unit) -> Unit:
     """Compute a chunk and keep it; what the worker has compiled serves the next."""
     _worker(unit.sweep, unit.arguments, unit.effects, unit.out)(
@@ -88,5 +103,11 @@ def _worker(
     set_up_jax(user_cache(), LOOPS)
     for path in effects:
         load_effects(path)
-    rig, more = pickle.loads(arguments)
+    try:
+        rig, more = pickle.loads(arguments)
+    except (ImportError, AttributeError) as error:
+        raise InputError(
+            f"--cluster: a worker cannot import the controller or the valve: {error}; "
+            "install its module where the workers run"
+        ) from error
     return sweep.chunk_worker(plan_sweep(rig, **more), Path(out))
