@@ -30,11 +30,11 @@ from hydrojax.identify.results.parts import (
     series_of,
     signals_of,
 )
+from hydrojax.identify.results.sentence import sentence, with_ends, without_skill
 from hydrojax.identify.results.unexplained import extrapolation, unexplained
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
-from hydrojax.identify.tracing.state import Tracing
-from hydrojax.report.text import quantity_text
+from hydrojax.identify.tracing.state import Tracing, strengths
 from hydrojax.rigfile.schema import SUPPLY
 
 if TYPE_CHECKING:
@@ -71,8 +71,11 @@ def summarise(
         validate_logs=tuple(log.name for log in case.check_logs if case.held_out),
         test_logs=tuple(log.name for log in case.test_logs),
         verdict=verdict,
-        sentence=_without_skill(channels, state.criteria.at_noise)
-        + _sentence(command, verdict, effects, left, case.held_out, needed),
+        sentence=without_skill(channels, state.criteria.at_noise)
+        + with_ends(
+            sentence(command, verdict, effects, left, case.held_out, needed),
+            _at_ends(state, uncertainty),
+        ),
         parameters=parameters_of(case, state, uncertainty),
         channels=channels,
         effects=effects,
@@ -229,6 +232,8 @@ WHY = {
     "does not help": "does not lower the validation error beyond chance",
     "explains too little": "leaves most of what stands above the noise",
     "needless": "was added first, and made unnecessary by what was added later",
+    "exchanged": "was added first, and exchanged for what does better with the others",
+    "spoils another channel": "raises the validation error of another channel",
 }
 
 
@@ -262,57 +267,11 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
     return tuple(sorted(out, key=lambda c: (c.status != "added", -c.share)))
 
 
-def _without_skill(channels: Mapping[str, ChannelErrors], at_noise: float) -> str:
-    """What is said first of channels above their noise that the model predicts no
-    better than the value held from the start of each window; empty without one.
-    """
-    poor = [
-        f"{name} ({quantity_text(c.after, c.unit, figures=3)} RMS) no better than its "
-        f"value held from the start of each window "
-        f"({quantity_text(c.window.held, c.unit, figures=3)})"
-        for name, c in channels.items()
-        if c.after > at_noise * c.noise
-        and c.window is not None
-        and c.window.skill is not None
-        and c.window.skill <= 0.0
-    ]
-    if not poor:
-        return ""
-    return f"The model has no skill: it predicts {' and '.join(poor)}. "
-
-
-def _sentence(
-    command: str,
-    verdict: str,
-    effects: tuple[FoundEffect, ...],
-    left: tuple[Unexplained, ...],
-    held_out: bool,
-    needed: tuple[str, ...],
-) -> str:
-    names = " and ".join(e.name for e in effects)
-    where = "validation" if held_out else "fitted"
-    if verdict == "nothing missing":
-        return f"Nothing is missing: every channel of the {where} logs is at its noise."
-    if verdict == "explained":
-        return (
-            f"The model lacked {names}: with it every channel of the {where} logs is "
-            "at its noise."
-        )
-    channels = " and ".join(u.channel for u in left)
-    share = sum(e.share for e in effects)
-    taken = f"takes away {100 * share:.2g} % of the squared error above the noise"
-    start = f"{names} was found and added and {taken}, but " if names else ""
-    rest = "; ".join(u.description for u in left)
-    if needed:
-        return (
-            f"{start}{channels} cannot be judged: the validation logs depend on "
-            f"{' and '.join(needed)}, which the fitted logs leave open. With values "
-            "that suit both, every channel of all logs is at its noise; fit a log that "
-            "moves as the validation logs do."
-        )
-    if command == "identify":
-        return f"The declared model does not explain {channels}: {rest}. Try trace."
-    return f"{start}no known effect explains the residual of {channels}: {rest}."
+def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
+    """Free parameters that stand at an end of their range; not what is absent there."""
+    absent = {n for a in state.added for n in strengths(state.effects[a.name])}
+    absent = {n for n in absent if state.named[n] == 0.0}
+    return tuple(n for n in state.free if n in uncertainty.ends and n not in absent)
 
 
 def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
