@@ -10,6 +10,7 @@ from jaxtyping import Array
 
 from hydrojax.effects import registry
 from hydrojax.effects.fluid import (
+    Counterbalance,
     DeadVolume,
     EntrainedAir,
     ExternalLeakage,
@@ -41,7 +42,6 @@ from hydrojax.effects.structure import (
     RodCompliance,
 )
 from hydrojax.effects.valve import (
-    Counterbalance,
     FlowCurve,
     OrificeTransition,
     Underlap,

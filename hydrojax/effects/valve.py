@@ -262,40 +262,6 @@ class OrificeTransition(OrificeEffect):
         return self.dP_t2
 
 
-class Counterbalance(OrificeEffect):
-    """Over-centre valve in the line of each chamber: throttles what leaves it.
-
-    It opens with the chamber's pressure and, `ratio` times, with the other line's:
-    by `(P_i + ratio P_j - P_set) / dP_full` of its full opening. `s_i` is the share of
-    the outflow that it governs, 1 where chamber i has one. What comes from the supply
-    is free. The line's own volume and the valve's lag are left out.
-    """
-
-    name = "counterbalance"
-    needs = ("u", "differential")
-    residual_axis = "P_a1 + P_a2"
-    s_1: Float[Array, ""] = param(
-        "1", 0.0, 0.0, 1.0, "share, chamber 1", strength=True, size=0.1
-    )
-    s_2: Float[Array, ""] = param(
-        "1", 0.0, 0.0, 1.0, "share, chamber 2", strength=True, size=0.1
-    )
-    P_set: Float[Array, ""] = param(
-        "Pa", 1.5e7, 2e6, 4e7, "setting", grid=(8e6, 1.5e7, 2.5e7)
-    )
-    ratio: Float[Array, ""] = param("1", 3.0, 0.5, 12.0, "pilot ratio", prior=2.0)
-    dP_full: Float[Array, ""] = param(
-        "Pa", 1.5e7, 5e5, 6e7, "pressure from shut to open", prior=1e7
-    )
-
-    def outlet(self, at):
-        def passes(s, own, pilot):
-            over = (own + self.ratio * pilot - self.P_set) / self.dP_full
-            return 1 - s * (1 - jnp.clip(over, 0.0, 1.0))
-
-        return passes(self.s_1, at.P_a1, at.P_a2), passes(self.s_2, at.P_a2, at.P_a1)
-
-
 class Underlap(OrificeEffect):
     """Edges that are still open by `u_ul` when the spool stands at zero (V5).
 
