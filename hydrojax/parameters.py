@@ -69,6 +69,11 @@ class Spec:
         return max(abs(self.lower), abs(self.upper)) / 10.0
 
 
+def spread(first: float, last: float, count: int) -> tuple[float, ...]:
+    """A grid in even ratios: what a strength is screened at over its whole range."""
+    return tuple(float(f"{v:.3g}") for v in np.geomspace(first, last, count))
+
+
 def param(
     unit: str, default: float, lower: float, upper: float, description: str, **more: Any
 ) -> Any:

@@ -12,7 +12,6 @@ import jax
 import numpy as np
 
 from hydrojax.effects import EFFECTS
-from hydrojax.effects.valve import QUEUE
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.check import check_inputs
@@ -72,11 +71,6 @@ def _problems(
     known = dict(free)
     for name in candidates:
         known |= free_effect(name, specs(effects[name]))
-    if "valve_delay.tau_u" in known:
-        # A delay reaches no further back than its queue, which counts in ticks.
-        reach = (QUEUE - 1) * float(np.min(case.fit.windows.h))
-        f = known["valve_delay.tau_u"]
-        known["valve_delay.tau_u"] = replace(f, upper=min(f.upper, reach))
     problem = Problem.of(rig, free, case.fit, case.criteria)
     check = Problem.of(rig, free, case.check, case.criteria)
     use = in_play(problem, case.fit)

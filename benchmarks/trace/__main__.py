@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +17,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from . import baselines, cases, score, table, tracing
+from . import baselines, cases, score, sizes, table, tracing
 from .catalogue import NAMED
 
 
@@ -29,6 +30,10 @@ def main(
         list[str] | None,
         typer.Option(help="KIND=N: at least so many of a kind, as in nothing=100"),
     ] = None,
+    sized: Annotated[
+        int,
+        typer.Option("--sizes", help="cases of every searched effect, of any size"),
+    ] = 0,
     jobs: Annotated[int, typer.Option(help="processes that trace", min=1)] = 1,
     with_baselines: Annotated[
         bool, typer.Option("--baselines/--no-baselines", help="run the cheap ones too")
@@ -61,6 +66,9 @@ def main(
     from hydrojax.effects import EFFECTS
 
     specs = cases.plan(number, wanted, [n for n in NAMED if n in EFFECTS])
+    if sized:
+        names = [n for n in sizes.ENDS if n in EFFECTS]
+        specs += list(islice(sizes.sized(names), sized * len(names)))
     tracer = tracing.Tracing(oracle, with_baselines, cache)
     columns = (
         TextColumn("{task.description}"),
@@ -79,7 +87,10 @@ def main(
         rows = score.score(specs, out, tracer, jobs=jobs, progress=progress)
         if refits:
             baselines.refit_each(specs, out, refits, progress)
-    text = table.report(rows, baselines.read_refits(out))
+    rest = [row for row in rows if row["kind"] != "sized"]
+    text = table.report(rest, baselines.read_refits(out)) if rest else ""
+    if sized:
+        text += sizes.curve(rows)
     (out / "table.md").write_text(text, encoding="utf-8")
     print(text)
 

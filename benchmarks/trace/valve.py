@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from .hidden import Hidden
 
-PAD = 64  # ticks of command kept from before the log
+PAD = 192  # ticks of command kept from before the log
 
 
 class Valve:

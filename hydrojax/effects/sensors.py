@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.parameters import param
+from hydrojax.parameters import param, spread
 from hydrojax.plant.effect import SensorChannel
 
 
@@ -39,7 +39,14 @@ class LoadcellLag(_Lag):
     needs = ("loadcell",)
     residual_axis = "F_rate"
     tau_F: Float[Array, ""] = param(
-        "s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4
+        "s",
+        0.0,
+        0.0,
+        0.1,
+        "time constant",
+        strength=True,
+        size=5e-4,
+        grid=spread(2e-3, 0.1, 5),
     )
 
     def lag(self):
@@ -72,7 +79,14 @@ class PressureSensorLag(_Lag):
     needs = ("u", "P_a1", "P_a2")
     residual_axis = "P_rate"
     tau_P: Float[Array, ""] = param(
-        "s", 0.0, 0.0, 0.1, "time constant", strength=True, size=5e-4
+        "s",
+        0.0,
+        0.0,
+        0.1,
+        "time constant",
+        strength=True,
+        size=5e-4,
+        grid=spread(2e-3, 0.1, 5),
     )
 
     def lag(self):
@@ -132,7 +146,14 @@ class ChannelSkew(SensorChannel):
     residual_axis = "F_rate"
     counts_ticks = True
     tau_s: Float[Array, ""] = param(
-        "s", 0.0, -3e-3, 3e-3, "F logged ahead of its time", strength=True, size=2e-4
+        "s",
+        0.0,
+        -3e-3,
+        3e-3,
+        "F logged ahead of its time",
+        strength=True,
+        size=2e-4,
+        grid=(-3e-3, -1.5e-3, 1.5e-3, 3e-3),
     )
 
     def init(self, y, slope):

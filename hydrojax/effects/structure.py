@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.parameters import param
+from hydrojax.parameters import param, spread
 from hydrojax.plant.effect import ForceEffect, StretchEffect
 
 
@@ -39,7 +39,16 @@ class Backlash(StretchEffect):
     """
 
     name = "backlash"
-    b: Float[Array, ""] = param("m", 0.0, 0.0, 5e-3, "width", strength=True, size=1e-5)
+    b: Float[Array, ""] = param(
+        "m",
+        0.0,
+        0.0,
+        5e-3,
+        "width",
+        strength=True,
+        size=1e-5,
+        grid=spread(3e-5, 5e-3, 6),
+    )
     F_w: Float[Array, ""] = param(
         "N", 30.0, 2.0, 1e3, "force that crosses it", grid=(10.0, 30.0, 100.0)
     )

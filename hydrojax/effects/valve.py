@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.parameters import param
-from hydrojax.plant.effect import CommandChannel, OrificeEffect
+from hydrojax.parameters import param, spread
+from hydrojax.plant.effect import CommandChannel, CommandDelay, OrificeEffect
 
 QUEUE = 16
-"""Ticks of command that a delay holds: it reaches back one less, 15 ms at 1 kHz."""
+"""Ticks of command that a delay holds in a plant that steps, unless told otherwise: it
+reaches back one less."""
+
+LONGEST = 0.15
+"""The longest delay, s: a field bus, a soft controller and a slow pilot together."""
 
 
-class ValveDelay(CommandChannel):
+class ValveDelay(CommandDelay):
     """`u(t - tau_u)` of a held command (V13); exact for the mean over a step.
 
     It is first on the command's path, where the command is the same in all parts of a
@@ -24,11 +29,22 @@ class ValveDelay(CommandChannel):
     residual_axis = "u_rate"
     counts_ticks = True
     tau_u: Float[Array, ""] = param(
-        "s", 0.0, 0.0, 0.011, "command delay", strength=True, size=1e-3
+        "s",
+        0.0,
+        0.0,
+        LONGEST,
+        "command delay",
+        strength=True,
+        size=1e-3,
+        grid=spread(1e-3, LONGEST, 14),
     )
+    queue: int = eqx.field(static=True, default=QUEUE)
+
+    def lag(self):
+        return self.tau_u
 
     def init(self, u):
-        return jnp.broadcast_to(u[..., None], (*jnp.shape(u), QUEUE))
+        return jnp.broadcast_to(u[..., None], (*jnp.shape(u), self.queue))
 
     def step(self, memory, u, h):
         memory, (u,) = self.parts(memory, [u], h)
@@ -38,12 +54,16 @@ class ValveDelay(CommandChannel):
         u, n = us[0], len(us)
         memory = jnp.concatenate([u[..., None], memory[..., :-1]], axis=-1)
         # No further back than the queue: a longer delay reads its oldest command.
-        steps = jnp.minimum(jnp.broadcast_to(self.tau_u / h, u.shape), n * (QUEUE - 1))
+        steps = jnp.minimum(
+            jnp.broadcast_to(self.tau_u / h, u.shape), n * (self.queue - 1)
+        )
         whole = jnp.floor(steps)
         share = (steps - whole)[..., None]
         # Each part is a mean of two held commands, its own and the one a part older.
         back = jnp.arange(n, -1, -1) + whole[..., None].astype(int)
-        held = jnp.take_along_axis(memory, jnp.minimum(back // n, QUEUE - 1), axis=-1)
+        held = jnp.take_along_axis(
+            memory, jnp.minimum(back // n, self.queue - 1), axis=-1
+        )
         mean = held[..., 1:] + share * (held[..., :-1] - held[..., 1:])
         return memory, [mean[..., i] for i in range(n)]
 
@@ -66,7 +86,14 @@ class ValveHysteresis(CommandChannel):
     name = "valve_hysteresis"
     residual_axis = "u_rate"
     u_h: Float[Array, ""] = param(
-        "{u}", 0.0, 0.0, 2.0, "half-width of the play", strength=True, size=0.05
+        "{u}",
+        0.0,
+        0.0,
+        2.0,
+        "half-width of the play",
+        strength=True,
+        size=0.05,
+        grid=spread(0.05, 2.0, 5),
     )
 
     def init(self, u):
@@ -98,7 +125,7 @@ class ValveRateLimit(CommandChannel):
         "largest rate of the spool",
         strength=True,
         size=2e-3,
-        grid=(1e-2,),
+        grid=spread(3e-3, 0.2, 5),
         outside=("r_v", "{u}/s"),
     )
 
@@ -135,6 +162,7 @@ class ValveLag(CommandChannel):
         "spool natural frequency",
         strength=True,
         size=5e-4,
+        grid=spread(1e-3, 0.05, 6),
         outside=("omega", "rad/s"),
     )
     zeta: Float[Array, ""] = param(
@@ -165,10 +193,24 @@ class ValveDeadband(CommandChannel):
 
     name = "valve_deadband"
     u_dbp: Float[Array, ""] = param(
-        "{u}", 0.0, 0.0, 5.0, "overlap, u > 0", strength=True, size=0.05
+        "{u}",
+        0.0,
+        0.0,
+        5.0,
+        "overlap, u > 0",
+        strength=True,
+        size=0.05,
+        grid=spread(0.05, 4.0, 6),
     )
     u_dbn: Float[Array, ""] = param(
-        "{u}", 0.0, 0.0, 5.0, "overlap, u < 0", strength=True, size=0.05
+        "{u}",
+        0.0,
+        0.0,
+        5.0,
+        "overlap, u < 0",
+        strength=True,
+        size=0.05,
+        grid=spread(0.05, 4.0, 6),
     )
 
     def step(self, memory, u, h):

@@ -59,6 +59,18 @@ class CommandChannel(Effect):
         return memory, out
 
 
+class CommandDelay(CommandChannel):
+    """A command that comes late and is otherwise the same: `lag() -> s`, zero or more.
+
+    A replay knows the command ahead of its windows, and reads it as late as it came:
+    no queue of ticks stands between.
+    """
+
+    def lag(self) -> Float[Array, ""]:
+        """By how much, s."""
+        raise NotImplementedError
+
+
 class OrificeEffect(Effect):
     """Changes the valve's four edges: how far they open, how laminar they are.
 

@@ -12,15 +12,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import filled
+from hydrojax.plant.effect import CommandDelay
 from hydrojax.plant.friction import Sliding, run_linear
 from hydrojax.plant.hydraulics import pressure_step
-from hydrojax.plant.rig import Rig
+from hydrojax.plant.rig import PARTS, Rig, mean_opening
 from hydrojax.plant.state import StepInput
 
 
@@ -122,22 +125,95 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
     return Past(z, speed, v)
 
 
+NEAR, EACH = 60, 5
+"""Ticks right ahead of a window over which the command's path is run one by one, and
+the ticks of a step ahead of those: a spool that slews slowly remembers longer than it
+need be known tick by tick."""
+
+Held = tuple[Float[Array, "steps windows parts"], Float[Array, "steps windows"]]
+"""The command's mean over the parts of each step, and the steps' lengths, s."""
+
+
+def _commands(
+    rig: Rig, w: Windows
+) -> tuple[Rig, Held, Float[Array, "ticks windows parts"]]:
+    """The command ahead of the windows and in them, as late as it comes.
+
+    With it the rig without what makes it late: what stands after a delay does not care
+    when. One part stands for all of a step where nothing is late.
+    """
+    late = [c for c in rig.command if isinstance(c, CommandDelay)]
+    rest = tuple(c for c in rig.command if not isinstance(c, CommandDelay))
+    rig = eqx.tree_at(lambda r: r.command, rig, rest, is_leaf=_is_tuple)
+    h = jnp.concatenate([w.before_h, w.h[:, :-1]], axis=1)
+    u = jnp.concatenate([w.before, w.u[:, :-1]], axis=1)
+    pre, ticks = w.before.shape[1], h.shape[1]
+    near = pre - min(NEAR, pre)
+    edges = np.r_[near % EACH : near : EACH, near : ticks + 1]
+    t, area = (jnp.pad(jnp.cumsum(a, axis=1), ((0, 0), (1, 0))) for a in (h, u * h))
+    step = jnp.diff(t[:, edges], axis=1)
+    if late:
+        part = jnp.arange(PARTS + 1) / PARTS
+        at = (
+            t[:, edges[:-1], None] + step[..., None] * part - sum(c.lag() for c in late)
+        )
+        gone = jax.vmap(_along_steps)(u, t, area, at.reshape(len(u), -1))
+        goal = jnp.diff(gone.reshape(at.shape), axis=-1) / step[..., None] * PARTS
+    else:
+        goal = jnp.diff(area[:, edges], axis=1) / step
+        coarse = len(edges) - 1 - (ticks - near)
+        goal = jnp.concatenate([goal[:, :coarse], u[:, near:]], axis=1)[..., None]
+    goal, step = jnp.moveaxis(goal, 1, 0), step.T
+    ahead = len(edges) - 1 - (ticks - pre)
+    return rig, (goal[:ahead], step[:ahead]), goal[ahead:]
+
+
+def _is_tuple(x: object) -> bool:
+    return isinstance(x, tuple)
+
+
+def _along_steps(
+    u: Float[Array, "n"],
+    t: Float[Array, "n+1"],
+    area: Float[Array, "n+1"],
+    at: Float[Array, "m"],
+) -> Float[Array, "m"]:
+    """The integral of a command held over ticks that end at `t`, `area` there, at other
+    times; ahead of the first tick it stood where that one is.
+    """
+    i = jnp.clip(jnp.searchsorted(t, at, side="left") - 1, 0, u.size - 1)
+    return area[i] + u[i] * (at - t[i])
+
+
+def _through(
+    rig: Rig, memory: tuple, goal: Float[Array, "windows parts"], h: Array
+) -> tuple[tuple, tuple[Array, ...]]:
+    """The command's path over one step: its memories, and the opening over it."""
+    if goal.shape[-1] == 1:
+        return rig.command_step(memory, goal[..., 0], h)
+    us = [goal[..., i] for i in range(PARTS)]
+    memory, us = rig.command_through(memory, us, h / PARTS)
+    return memory, mean_opening(us)
+
+
 def pressures(
     rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
 ) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
     """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa."""
+    rig, ahead, goals = _commands(rig, w)
 
     def warm(memory, held):
-        return rig.command_step(memory, *held)[0], None
+        return _through(rig, memory, *held)[0], None
 
-    def advance(carry, inputs):
+    def advance(carry, at):
         memory, P = carry
-        memory, opening = rig.command_step(memory, inputs.u, inputs.h)
+        goal, inputs = at
+        memory, opening = _through(rig, memory, goal, inputs.h)
         P = pressure_step(rig, P, opening, inputs)
         return (memory, P), (filled(P[0]), filled(P[1]))
 
-    memory = rig.command_init(w.before[:, 0])
-    memory, _ = jax.lax.scan(warm, memory, (w.before.T, w.before_h.T))
+    memory = rig.command_init(ahead[0][0][..., 0])
+    memory, _ = jax.lax.scan(warm, memory, ahead)
 
     def ends(p):
         return jnp.stack([p[:, :-1], p[:, 1:]], axis=-1)
@@ -156,7 +232,7 @@ def pressures(
     )
     inputs = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), inputs)
     start = (P_0[:, 0], P_0[:, 1])
-    _, (P_a1, P_a2) = jax.lax.scan(advance, (memory, start), inputs)
+    _, (P_a1, P_a2) = jax.lax.scan(advance, (memory, start), (goals, inputs))
     return (
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),

@@ -68,11 +68,20 @@ class Rig(eqx.Module):
 
         Returns the memories and the spool's mean opening over each part.
         """
-        openings, out = [u] * parts, []
+        return self.command_through(memory, [u] * parts, h / parts)
+
+    def command_through(
+        self,
+        memory: tuple,
+        us: list[Float[Array, "*batch"]],
+        h: Float[Array, "*batch"],
+    ) -> tuple[tuple, list[Float[Array, "*batch"]]]:
+        """The same for a command that differs from part to part, each `h` s long."""
+        out = []
         for channel, m in zip(self.command, memory, strict=True):
-            m, openings = channel.parts(m, openings, h / parts)
+            m, us = channel.parts(m, us, h)
             out.append(m)
-        return tuple(out), openings
+        return tuple(out), us
 
     def command_step(
         self, memory: tuple, u: Float[Array, "*batch"], h: Float[Array, "*batch"]
@@ -84,11 +93,7 @@ class Rig(eqx.Module):
         if not self.command:
             return (), (u,)
         memory, openings = self.command_parts(memory, u, h)
-        open_p, open_n = sides(openings[0])
-        for spool in openings[1:]:
-            p, n = sides(spool)
-            open_p, open_n = open_p + p, open_n + n
-        return memory, (open_p / PARTS, open_n / PARTS)
+        return memory, mean_opening(openings)
 
     def openings(
         self,
@@ -228,6 +233,17 @@ class Rig(eqx.Module):
             m, y = channel.step(m, y, h)
             out.append(m)
         return tuple(out), y
+
+
+def mean_opening(
+    spools: list[Float[Array, "*batch"]],
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """The openings toward either side, as `Point` has them, over all parts."""
+    open_p, open_n = sides(spools[0])
+    for spool in spools[1:]:
+        p, n = sides(spool)
+        open_p, open_n = open_p + p, open_n + n
+    return open_p / len(spools), open_n / len(spools)
 
 
 def add(rig: Rig, effects: Iterable[Effect]) -> Rig:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -11,10 +12,10 @@ from jaxtyping import Array, Float
 
 from hydrojax.control.loop import Loop, Sensors
 from hydrojax.effects import EFFECTS, offered
-from hydrojax.effects.valve import QUEUE, ValveDelay
+from hydrojax.effects.valve import LONGEST, ValveDelay
 from hydrojax.errors import InputError
 from hydrojax.parameters import get, put
-from hydrojax.plant.effect import Effect
+from hydrojax.plant.effect import CommandChannel, Effect
 from hydrojax.plant.load import Driven, Inertia
 from hydrojax.plant.rig import Rig, add, bare_rig
 from hydrojax.plant.valve import MeteringEdges
@@ -172,7 +173,7 @@ def build_loop(
         law = with_gains(law, gains, file, where)
     rig = build_rig(file) if rig is None else rig
     h = control_period(keys)
-    _check_delay(file, rig, h)
+    rig = _with_queues(rig, h)
     return Loop(
         rig=rig,
         law=law,
@@ -202,16 +203,24 @@ def _start(rig: Rig, middle: float) -> float:
     return 2 * middle * a_2 / (a_1 + a_2)
 
 
-def _check_delay(file: RigFile, rig: Rig, h: float) -> None:
-    """Refuse a delay that its queue would cut short."""
-    reach = (QUEUE - 1) * h
-    for channel in rig.command:
-        if isinstance(channel, ValveDelay) and float(channel.tau_u) > reach:
-            raise InputError(
-                f"{file.path}: [effects.valve_delay] tau_u: {float(channel.tau_u):g} s "
-                f"is more than {reach:.3g} s, as far as a delay reaches at this "
-                "[controller] rate; lower either"
-            )
+def _with_queues(rig: Rig, h: float) -> Rig:
+    """The rig with delays that hold enough ticks of `h` seconds.
+
+    One of two sizes is taken, so that few programs serve every delay.
+    """
+
+    def long(channel: CommandChannel) -> CommandChannel:
+        if not isinstance(channel, ValveDelay):
+            return channel
+        tau_u = 2 * float(channel.tau_u)
+        if tau_u <= (channel.queue - 1) * h:
+            return channel
+        return replace(channel, queue=math.ceil(max(LONGEST, tau_u) / h) + 2)
+
+    command = tuple(map(long, rig.command))
+    return eqx.tree_at(
+        lambda r: r.command, rig, command, is_leaf=lambda x: isinstance(x, tuple)
+    )
 
 
 def _array(value: float) -> Float[Array, ""]:

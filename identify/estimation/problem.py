@@ -10,7 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from hydrojax.identify.estimation.columns import Batch, ParametricRig, basis, slot_names
+from hydrojax.identify.estimation.columns import (
+    Basis,
+    Batch,
+    ParametricRig,
+    basis,
+    slot_names,
+)
 from hydrojax.identify.estimation.coupled import agreed, stretched
 from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.estimation.misfit import (
@@ -196,7 +202,7 @@ class Problem:
             batch = batch._replace(noise=noise)
         n = self.model.hydraulic
         every = basis(self.model, self.model.names, (n, len(self.model.names) - n))
-        return self._evaluate(values, every, batch)
+        return self.evaluate(values, every, batch)
 
     def residuals_at(
         self, values: Float[np.ndarray, "n"]
@@ -250,10 +256,13 @@ class Problem:
         """Sum of squared residuals by window and channel, SI."""
         return np.sum(self.residuals_at(values) ** 2, axis=1)
 
-    def _evaluate(self, values, directions, batch) -> Sums:
-        values = jnp.asarray(values)
-        out = run_sums(self.model, values, directions, filled(batch), self.simulate)
-        return self._real(out)
+    def evaluate(
+        self, values: Float[np.ndarray, "n"], directions: Basis, batch: Batch
+    ) -> Sums:
+        """The windows' sums of a batch at `values`, along `directions`."""
+        at = jnp.asarray(values)
+        out = run_sums(self.model, at, directions, filled(batch), self.simulate)
+        return jax.tree.map(lambda a: np.asarray(a)[: len(batch.P_0)], out)
 
     def _real(self, found: PyTree) -> PyTree:
         """What was found of the windows, without those that only fill up."""

@@ -19,6 +19,8 @@ from hydrojax.identify.preparation.segments import common_band, segment
 from hydrojax.identify.preparation.windows import (
     LEAD,
     PRE,
+    REACH,
+    REACH_SECONDS,
     SETTLE,
     cut,
     motion,
@@ -97,7 +99,7 @@ def prepare_logs(
     rows, starts, used = _spread_windows(logs, rows, size, h, criteria)
     segments = [segment(i, logs[i], spec, r, driven_by, sign, band) for i, r in rows]
     cuts = [(k, first) for k, own in enumerate(starts) for first in own]
-    windows, P_0 = cut(segments, cuts, size.T, size.pre, size.lead, size.substeps)
+    windows, P_0 = cut(segments, cuts, size.T, size.ahead, size.lead, size.substeps)
     if noise is None:
         noise = channel_noise(logs, spec, driven_by)
     own = [f"{log.name}: {note}" for log in logs for note in log.notes]
@@ -117,10 +119,13 @@ def prepare_logs(
 
 
 class _Size(NamedTuple):
-    """Ticks of a window, of the command ahead of it and of its lead; its substeps."""
+    """Ticks of a window, of the log and of the command ahead of it, and of its lead;
+    its substeps.
+    """
 
     T: int
     pre: int
+    ahead: int
     lead: int
     substeps: int
 
@@ -129,8 +134,9 @@ class _Size(NamedTuple):
         """The size of windows of `horizon` s on logs with a row every `h` s."""
         T = max(int(round(horizon / h)), 8)
         if driven_by == "u":
-            return cls(T, PRE, LEAD, max(1, int(np.ceil(h / 1.5e-3))))
-        return cls(T, 1, min(LEAD, int(0.3 / h)), 1)
+            ahead = max(REACH, int(np.ceil(REACH_SECONDS / h)))
+            return cls(T, PRE, ahead, LEAD, max(1, int(np.ceil(h / 1.5e-3))))
+        return cls(T, 1, 1, min(LEAD, int(0.3 / h)), 1)
 
 
 def _rows(logs: Sequence[Log], criteria: Criteria) -> list[tuple[int, slice]]:
@@ -186,7 +192,7 @@ def _spread_windows(
     Raises:
         InputError: no stretch is long enough for a window.
     """
-    T, pre, lead, _ = size
+    T, pre, _, lead, _ = size
     starts = [starts_in(logs[i].time[r], T, pre, lead) for i, r in rows]
     count, most = sum(map(len, starts)), max(criteria.most_ticks // (lead + T), 1)
     if count == 0:

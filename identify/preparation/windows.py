@@ -10,11 +10,11 @@ from hydrojax.identify.preparation.segments import Segment
 from hydrojax.plant.replay import Motion, Windows
 
 PRE = 60
-"""Ticks of command ahead of a window, for whatever on its path has memory."""
+"""Ticks of command ahead of a window that the log must have."""
 
-COARSE, EACH = 40, 5
-"""Steps ahead of those, and their ticks: a spool that slews slowly remembers longer
-than it need be known tick by tick."""
+REACH, REACH_SECONDS = 260, 0.25
+"""Ticks of command ahead of a window that a replay is given, and seconds: whichever is
+longer. A slow spool remembers so long, and the longest delay is within."""
 
 LEAD = 20
 """Ticks at the head of a window that are run but not compared."""
@@ -88,22 +88,14 @@ def motion(segments: list[Segment], h: float) -> Motion:
 
 
 def _past(s: Segment, first: int, pre: int) -> tuple[np.ndarray, np.ndarray]:
-    """The command ahead of a window, coarse and then tick by tick, and its steps, s.
+    """The command ahead of a window, tick by tick, and its ticks, s.
 
     Ahead of the segment the command is taken to have stood where it began.
     """
-    coarse = COARSE if pre == PRE else 0
-    near = first - pre
-    edges = np.maximum(near - EACH * np.arange(coarse, -1, -1), 0)
-    t, u = s.t[edges[0] : near + 1], s.u[edges[0] : near]
-    spent = np.diff(s.t[edges])
-    scenario = np.r_[0.0, np.cumsum(u * np.diff(t))][edges - edges[0]]
-    known = spent > 0
-    usual = EACH * float(s.t[near + 1] - s.t[near])
-    mean = np.where(known, np.diff(scenario) / np.where(known, spent, 1.0), s.u[0])
-    h = np.where(known, spent, usual)
-    steps = np.diff(s.t[near : first + 1])
-    return np.r_[mean, s.u[near:first]], np.r_[h, steps]
+    have = min(pre, first)
+    lack, usual = (pre - have, 0), float(s.t[first] - s.t[first - 1])
+    u, h = s.u[first - have : first], np.diff(s.t[first - have : first + 1])
+    return np.pad(u, lack, "edge"), np.pad(h, lack, constant_values=usual)
 
 
 def cut(
@@ -117,7 +109,7 @@ def cut(
     """The windows, and a first guess of the pressures where each begins, Pa.
 
     `cuts` are segments and first ticks there; a window has `lead + T`, each of `n`
-    substeps.
+    substeps, and the command of `pre` ticks ahead of it.
     """
     parts = np.arange(2 * n + 1) / (2 * n)
     columns: dict[str, list] = {name: [] for name in Windows._fields}

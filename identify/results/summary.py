@@ -32,7 +32,7 @@ from hydrojax.identify.results.parts import (
 from hydrojax.identify.results.unexplained import extrapolation, unexplained
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
-from hydrojax.identify.tracing.state import Tracing
+from hydrojax.identify.tracing.state import Tracing, strengths
 from hydrojax.rigfile.schema import SUPPLY
 
 if TYPE_CHECKING:
@@ -69,7 +69,10 @@ def summarise(
         validate_logs=tuple(log.name for log in case.check_logs if case.held_out),
         test_logs=tuple(log.name for log in case.test_logs),
         verdict=verdict,
-        sentence=_sentence(command, verdict, effects, left, case.held_out, needed),
+        sentence=_with_ends(
+            _sentence(command, verdict, effects, left, case.held_out, needed),
+            _at_ends(state, uncertainty),
+        ),
         parameters=parameters_of(case, state, uncertainty),
         channels=channels,
         effects=effects,
@@ -223,6 +226,8 @@ WHY = {
     "does not help": "does not lower the validation error beyond chance",
     "explains too little": "leaves most of what stands above the noise",
     "needless": "was added first, and made unnecessary by what was added later",
+    "exchanged": "was added first, and exchanged for what does better with the others",
+    "spoils another channel": "raises the validation error of another channel",
 }
 
 
@@ -254,6 +259,25 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
             )  # fmt: skip
         )
     return tuple(sorted(out, key=lambda c: (c.status != "added", -c.share)))
+
+
+def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
+    """Free parameters that stand at an end of their range; not what is absent there."""
+    absent = {n for a in state.added for n in strengths(state.effects[a.name])}
+    absent = {n for n in absent if state.named[n] == 0.0}
+    return tuple(n for n in state.free if n in uncertainty.ends and n not in absent)
+
+
+def _with_ends(sentence: str, ends: tuple[str, ...]) -> str:
+    """The sentence, and in it what cannot be taken for an estimate."""
+    if not ends:
+        return sentence
+    stand = (
+        "stands at an end of its range"
+        if len(ends) == 1
+        else ("stand at an end of their ranges")
+    )
+    return f"{sentence.removesuffix('.')}, but {' and '.join(ends)} {stand}."
 
 
 def _sentence(

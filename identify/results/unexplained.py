@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy import signal
+from scipy import signal, stats
 
 from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.inference.uncertainty import curvature
@@ -45,7 +45,8 @@ def unexplained(
         Dependence(n, *dependence(residual, s, criteria)) for n, s in signals.items()
     ]
     tests = tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
-    line, height = spectral_line(residual, tick)
+    line, height, chance = spectral_line(residual, tick)
+    stands_out = chance < criteria.level and height > criteria.line
     clear = max(
         (d for d in tests if d.share > criteria.correlates), key=_share, default=None
     )
@@ -56,7 +57,7 @@ def unexplained(
             f"with {follows} (p {clear.p_value:.2g}), more than with any other signal "
             "of the log"
         )
-    elif height > criteria.line:
+    elif stands_out:
         follows = "frequency"
         description = f"{size}; it stands out as a line near {line:.3g} Hz"
     else:
@@ -70,7 +71,7 @@ def unexplained(
         )
     return Unexplained(
         channel, excess, unit, follows, description, tests,
-        line if height > criteria.line else None, advice(channel, follows),
+        line if stands_out else None, advice(channel, follows),
     )  # fmt: skip
 
 
@@ -155,22 +156,66 @@ def dependence(
     return float(share), float(p)
 
 
+EDGE, SKIRT, AROUND = 3, 2, 16
+"""Bins at either end of a spectrum that are left out: what is slow, and what filters
+leave; bins on either side that a line is spread over; and bins that give its
+background."""
+
+
 def spectral_line(
     residual: Float[np.ndarray, "windows ticks"], tick: float
-) -> tuple[float, float]:
-    """Frequency (Hz) of the highest line of the residual, and its height.
+) -> tuple[float, float, float]:
+    """The line that stands out most from the residual's own smooth spectrum.
 
-    The height is above a running median of the spectrum.
+    The residual is detrended by window and whitened by real poles, which take a drift
+    or a random walk but no line. Each bin of the mean spectrum is then compared with
+    the bins around it, and the logarithm of the ratio with its own scatter over the
+    spectrum. The bins at its ends are no candidates.
+
+    Returns:
+        Its frequency, Hz; its height over the background; and the chance that any bin
+        of a smooth spectrum stands out so far.
     """
     f, power = signal.periodogram(
-        residual, 1 / tick, window="hann", detrend="linear", axis=-1
+        _whitened(signal.detrend(residual, axis=-1)),
+        1 / tick,
+        window="hann",
+        detrend="linear",
+        axis=-1,
     )
-    # The lowest bins of so short a window hold whatever is slow, and no line.
-    f, mean = f[2:], power.mean(axis=0)[2:]
-    around = signal.medfilt(np.pad(mean, 12, mode="reflect"), 13)[12:-12]
-    ratio = mean / np.maximum(around, 1e-300)
-    top = int(np.argmax(ratio))
-    return float(f[top]), float(ratio[top])
+    kept = np.arange(EDGE, f.size - EDGE)
+    if kept.size < 2 * AROUND:
+        return 0.0, 1.0, 1.0
+    level = np.log(np.maximum(power.mean(axis=0), 1e-300))[kept]
+    apart = np.abs(kept[:, None] - kept)
+    apart = np.where(apart > SKIRT, apart, kept.size)
+    near = np.argsort(apart, axis=1, kind="stable")[:, :AROUND]
+    off, around = near - np.arange(kept.size)[:, None], level[near]
+    lean = off - off.mean(axis=1, keepdims=True)
+    slope = np.sum(lean * around, axis=1) / np.sum(lean**2, axis=1)
+    above = level - np.median(around - slope[:, None] * off, axis=1)
+    middle = np.median(above)
+    scatter = 1.4826 * np.median(np.abs(above - middle))
+    top = 1 + int(np.argmax(above[1:-1]))
+    far = stats.norm.sf((above[top] - middle) / max(scatter, 1e-12))
+    chance = -np.expm1((kept.size - 2) * np.log1p(-min(far, 1 - 1e-12)))
+    return float(f[kept[top]]), float(np.exp(above[top])), float(chance)
+
+
+def _whitened(
+    residual: Float[np.ndarray, "windows ticks"],
+) -> Float[np.ndarray, "windows shorter"]:
+    """The residual through the inverse of up to three real poles, each from what
+    neighbouring ticks have in common.
+    """
+    for _ in range(3):
+        residual = residual - residual.mean(axis=-1, keepdims=True)
+        now, before = residual[:, 1:], residual[:, :-1]
+        pole = np.sum(now * before) / max(np.sum(before**2), 1e-300)
+        if pole < 0.5:
+            break
+        residual = now - pole * before
+    return residual
 
 
 def _size(value: float, unit: str) -> str:

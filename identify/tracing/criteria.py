@@ -50,6 +50,23 @@ class Criteria:
     near_best: float = 0.9
     """Gain over the best candidate's from which more than `tries` are refitted, 1.
     `benchmarks.trace`."""
+    far_starts: int = 2
+    """Starts far from zero from which an effect is fitted, count: the deepest minima of
+    its scan. Time against a wrong minimum; `benchmarks.trace --sizes`."""
+    far_fits: int = 6
+    """Such starts, of all effects, that are fitted on a few windows, count. As
+    `far_starts`."""
+    far_steps: int = 5
+    """Steps of these fits, count: they rank the starts and need not end. As
+    `far_starts`."""
+    rival: float = 0.7
+    """Gain from which a candidate is tried in the place of an effect that was added,
+    over that effect's own gain there, 1: a score is linear, and misjudges that much."""
+    rivals: int = 2
+    """Such candidates that are refitted for each effect, count: time."""
+    near_parallel: float = 0.9
+    """Cosine of projected columns from which a candidate may be taken for an effect, 1:
+    below, it leaves more than `fair_share` of what the effect explains (1 - 0.9^2)."""
     rounds: int = 4
     """Effects that each of the two stages may add, count. `benchmarks.trace`."""
     first_step: float = 0.5
@@ -182,8 +199,8 @@ class Criteria:
     """Permutations of a signal's windows that give the p-value, count: its least value
     is 0.01."""
     line: float = 12.0
-    """Height of a spectral line over the median of the spectrum to be named, 1.
-    `benchmarks.trace`."""
+    """Height of a spectral line over the spectrum around it to be named, 1; it must
+    stand out at `level` too. `benchmarks.trace`."""
     needed: float = 0.1
     """Share of the fall of the validation error that a parameter's change must give
     back for the verdict to wait on that parameter, 1. `benchmarks.trace`."""

@@ -24,6 +24,7 @@ def judge(
     It must lower some channel's error beyond chance (paired by window) by `matters`
     of its noise, and either bring that channel to its noise or take a fair share of
     what stood above it; the latter in the force only where the pressures are explained.
+    And no other channel's error may rise beyond chance by so much.
     """
     own = state.criteria
     seen = np.isfinite(noise)
@@ -42,7 +43,22 @@ def judge(
         fair &= (a <= own.at_noise * sigma) | PRESSURES[seen]
     if not np.any(helps & fair):
         return "explains too little"
-    return "helps"
+    return (
+        "spoils another channel" if worsened(state, before, after, noise) else "helps"
+    )
+
+
+def worsened(
+    state: Tracing,
+    before: Float[np.ndarray, "windows 3"],
+    after: Float[np.ndarray, "windows 3"],
+    noise: Float[np.ndarray, "3"],
+) -> bool:
+    """Whether any channel's error rose beyond chance by `matters` of its noise."""
+    seen, own = np.isfinite(noise), state.criteria
+    rms = (state.check.rms(after) - state.check.rms(before))[seen]
+    sure = _falls(after[:, seen], before[:, seen]) > own.beyond_chance
+    return bool(np.any(sure & (rms > own.matters * noise[seen])))
 
 
 def negligible(problem: Problem, point: FitPoint, effect: Effect) -> bool:

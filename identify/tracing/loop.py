@@ -7,14 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydrojax.identify.estimation.fit import FitPoint, fit_force, fit_jointly, only
+from hydrojax.identify.estimation.fit import FitPoint, fit_force, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.judge import chance, cost, judge, negligible, worse
 from hydrojax.identify.tracing.refit import refit
+from hydrojax.identify.tracing.rivals import reconsidered, with_look_alikes
 from hydrojax.identify.tracing.score import Score, family
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
-from hydrojax.identify.tracing.state import Added, Tracing, free_names, strengths
+from hydrojax.identify.tracing.state import Added, Tracing, free_names
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.places import place_of
 
@@ -35,35 +36,7 @@ def search_effects(state: Tracing) -> Tracing:
         problem, point = fit_force(state.problem, state.point.values, state.free)
         state = replace(state, problem=problem, point=point)
         state = _stage(state, state.effects, state.noise)
-    return _without_needless(state)
-
-
-def _without_needless(state: Tracing) -> Tracing:
-    """Let go of effects that the later ones made needless, the earliest first."""
-    for name in [a.name for a in state.added[:-1]]:
-        effect = state.effects[name]
-        gone = set(free_names(effect))
-        free = tuple(n for n in state.free if n not in gone)
-        values = state.point.values.copy()
-        for n in strengths(effect):
-            values[state.problem.model.names.index(n)] = 0.0
-        state.progress(f"refit without {name}")
-        problem, point = fit_jointly(state.problem, values, free, state.point.weights)
-        own, less = (
-            state.check.rms(state.check.errors_at(p.values))
-            for p in (state.point, point)
-        )
-        if np.all(less <= own + state.criteria.matters * state.noise):
-            state.progress(f"let go of {name}")
-            state = replace(
-                state,
-                problem=problem,
-                point=point,
-                free=free,
-                added=tuple(a for a in state.added if a.name != name),
-                tried={**state.tried, name: "needless"},
-            )
-    return state
+    return with_look_alikes(state)
 
 
 def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
@@ -75,7 +48,7 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
         more = _round(state, rest, scores, noise)
         if len(more.added) == len(state.added):
             return more
-        state = more
+        state = reconsidered(more, effects, noise)
     return state
 
 
@@ -97,8 +70,9 @@ def _round(
     before = state.check.errors_at(state.point.values)
     tried = dict(state.tried)
     helped: list[tuple[float, str, Problem, FitPoint, np.ndarray]] = []
+    tries = criteria.tries
     for i, s in enumerate(worth):
-        if i >= criteria.tries and s.gain < criteria.near_best * worth[0].gain:
+        if i >= tries and s.gain < criteria.near_best * worth[0].gain:
             break
         state.progress(f"refit with {s.name}")
         problem, point = refit(state, effects[s.name], s, noise)
@@ -106,6 +80,9 @@ def _round(
         tried[s.name] = judge(state, before, after, noise)
         if negligible(problem, point, effects[s.name]):
             tried[s.name] = "too small"
+        quiet = state.check.rms(after) <= (1 + criteria.matters) * noise
+        if tried[s.name] == "helps" and np.all(quiet[np.isfinite(noise)]):
+            tries = 1  # nothing is left: only what comes as near may be the cause
         if tried[s.name] == "helps":
             helped.append((cost(after, noise), s.name, problem, point, after))
     state = replace(state, tried=tried)

@@ -12,7 +12,7 @@ from hydrojax.identify.estimation.fit import FitPoint, fit_jointly, fit_pressure
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.judge import cost
 from hydrojax.identify.tracing.score import Score
-from hydrojax.identify.tracing.screen import nonlocal_starts, scores_of
+from hydrojax.identify.tracing.screen import scores_of
 from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengths
 from hydrojax.plant.effect import Effect
 
@@ -31,16 +31,13 @@ def refit(
     seen = np.isfinite(noise)
 
     def one(values: np.ndarray) -> tuple[Problem, FitPoint, np.ndarray]:
-        if not seen[2]:
-            done, values = fit_pressures(problem, values, free)
-            point = replace(state.point, values=values)
-        else:
-            done, point = fit_jointly(problem, values, free, state.point.weights)
+        done, point = fit_from(state, values, free, noise)
         return done, point, done.errors_at(point.values)
 
     part = state.criteria.first_step
-    best = one(_stepped(problem, state.point.values, effect, s, part))
-    starts = _elsewhere(state, effect, s, noise)
+    near = _stepped(problem, state.point.values, effect, s, part)
+    starts = _elsewhere(state, effect, s, near, noise)
+    best = one(next(starts))
     while np.any((problem.rms(best[2]) > at_noise * noise)[seen]):
         start = next(starts, None)
         if start is None:
@@ -49,16 +46,26 @@ def refit(
     return best[:2]
 
 
+def fit_from(
+    state: Tracing,
+    values: Float[np.ndarray, "n"],
+    free: tuple[str, ...],
+    noise: Float[np.ndarray, "3"],
+) -> tuple[Problem, FitPoint]:
+    """Fit what is free from `values`: on the pressures alone where no more is seen."""
+    if np.isfinite(noise[2]):
+        return fit_jointly(state.problem, values, free, state.point.weights)
+    done, values = fit_pressures(state.problem, values, free)
+    return done, replace(state.point, values=values)
+
+
 def _elsewhere(
-    state: Tracing, effect: Effect, s: Score, noise: np.ndarray
+    state: Tracing, effect: Effect, s: Score, near: np.ndarray, noise: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Other values from which to fit an effect, found as they are asked for."""
+    """Values from which to fit an effect, found as they are asked for."""
     problem, here = state.problem, state.point.values
-    start = placed(problem, here, {n: problem.free[n].start for n in state.free})
-    for name, value in nonlocal_starts(effect):
-        yield placed(problem, start, {name: value})
-        if s.shape.get(name) != value:
-            yield placed(problem, here, {name: value})
+    yield from (*s.starts[:1], near)[:: 1 if s.far else -1]
+    yield from s.starts[1:]
     if effect.place in ("sensor_P", "sensor_F"):
         return
     for back in _brought_back(problem, here, state.free, effect.place in FRICTION):

@@ -32,6 +32,9 @@ class Score:
         power_at_noise: the power were the residual at its noise.
         shape: the values of its shape at which it was scored.
         by_window: the windows' scores, of which the test is the sum.
+        starts: values of all parameters from which it may be fitted where its strength
+            is far from zero, the best first.
+        far: whether the gain is that of the first of these.
     """
 
     name: str
@@ -45,6 +48,8 @@ class Score:
     by_window: Float[np.ndarray, "windows columns"] = field(
         default_factory=lambda: np.zeros((0, 0))
     )
+    starts: tuple[Float[np.ndarray, "n"], ...] = ()
+    far: bool = False
 
     @property
     def share(self) -> float:

@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from hydrojax.identify.tracing.afar import from_afar
 from hydrojax.identify.tracing.score import Projection, Score, score
-from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengths
+from hydrojax.identify.tracing.state import Tracing, strengths
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
 
@@ -68,44 +69,11 @@ def scores_of(
             s = score(projection, name, columns, ends, matters, state.criteria.level)
             if name not in best or s.gain > best[name].gain:
                 best[name] = replace(s, shape=shapes.get(name, {}))
-    for name, strength, value in _nonlocal_grid(state, effects, noise):
-        shape = {strength: value}
-        own = [names.index(n) for n in free_names(effects[name])]
-        there = projected(
-            placed(state.problem, state.point.values, shape), [*free, *own]
-        )
-        left = best[name].left
-        if left - there.left > best[name].gain:
-            gain = left - there.left
-            best[name] = replace(best[name], gain=gain, shape=shape)
+    for name, (gain, starts) in from_afar(state, best, effects, noise).items():
+        far = gain > best[name].gain
+        gain = max(gain, best[name].gain)
+        best[name] = replace(best[name], gain=gain, starts=starts, far=far)
     return best
-
-
-def _nonlocal_grid(
-    state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
-) -> list[tuple[str, str, float]]:
-    """Effects and the strengths at which they are scored as they stand, where anything
-    is left that they could explain.
-    """
-    places = [
-        (n, *at) for n, effect in effects.items() for at in nonlocal_starts(effect)
-    ]
-    seen = np.isfinite(noise)
-    sse = state.problem.errors_at(state.point.values) if places else np.zeros((1, 3))
-    above = state.problem.rms(sse) > (1 + state.criteria.matters) * noise
-    return places if np.any(above & seen) else []
-
-
-def nonlocal_starts(effect: Effect) -> list[tuple[str, float]]:
-    """Values of strengths at which an effect is tried as it stands: what it does there
-    is not predicted by its derivative at zero.
-    """
-    return [
-        (f"{effect.name}.{field}", value)
-        for field, s in specs(effect).items()
-        for value in s.grid
-        if s.strength
-    ]
 
 
 def _shaped(

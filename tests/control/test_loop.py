@@ -24,7 +24,6 @@ from hydrojax.control.loop import Loop, Sensors, quantise, run
 from hydrojax.control.simulation import hold, make_scenario, simulate_loop
 from hydrojax.control.waveforms import sinusoidal_path
 from hydrojax.effects import EFFECTS
-from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
 from hydrojax.parameters import put
 from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, PistonMotion
@@ -448,16 +447,18 @@ def test_a_differential_cylinder_of_two_to_one_begins_inside_the_supply(tmp_path
     assert out.leaves == (0, 0)
 
 
-def test_a_delay_beyond_its_queue_is_refused(tmp_path):
-    """Fifteen periods: 3.75 ms at 4 kHz."""
+@pytest.mark.parametrize("delay", [0.003, 0.15])
+def test_a_loop_holds_as_much_command_as_its_delay_needs(tmp_path, delay):
+    """At 4 kHz 0.15 s are 600 periods."""
     path = tmp_path / "rig.toml"
-    for delay, refused in (("3.7 ms", False), ("3.8 ms", True)):
-        path.write_text(f'{DIFFERENTIAL}[effects.valve_delay]\ntau_u = "{delay}"\n')
-        if refused:
-            with pytest.raises(InputError, match="tau_u"):
-                build_loop(RigFile.load(path))
-        else:
-            build_loop(RigFile.load(path))
+    path.write_text(f'{DIFFERENTIAL}[effects.valve_delay]\ntau_u = "{delay} s"\n')
+    (late,) = build_loop(RigFile.load(path)).rig.command
+    ramp = np.arange(1000.0)
+    memory, out = late.init(jnp.zeros(())), []
+    for u in ramp:
+        memory, u = late.step(memory, jnp.asarray(u), 1 / 4000)
+        out.append(float(u))
+    assert out[-1] == pytest.approx(ramp[-1] - 4000 * delay, abs=0.51)
 
 
 def test_effects_that_are_absent_change_nothing():

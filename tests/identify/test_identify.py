@@ -525,16 +525,12 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
     w = data.windows
     rows_of = np.asarray(w.u) * 1e3
     np.testing.assert_allclose(np.diff(rows_of, axis=1), 1.0, atol=1e-6)
-    coarse, fine = np.split(np.asarray(w.before), [windows.COARSE], axis=1)
-    np.testing.assert_allclose(np.diff(fine, axis=1), 1e-3, atol=1e-9)
-    # Five ticks' mean a step, and what stood at the segment's head ahead of it.
-    np.testing.assert_allclose(
-        fine[:, 0] - coarse[:, -1], 1e-3 * (windows.EACH + 1) / 2, atol=1e-9
-    )
-    assert np.all(np.diff(coarse, axis=1) > -1e-9)
+    ahead = np.diff(np.asarray(w.before), axis=1)
+    # A row each, and what stood at the segment's head ahead of it.
+    assert np.all(np.isclose(ahead, 1e-3, atol=1e-9) | (ahead == 0))
+    assert np.all(np.isclose(ahead[:, 1 - windows.PRE :], 1e-3, atol=1e-9))
     np.testing.assert_allclose(w.h, 1e-3, atol=1e-9)
-    step = np.repeat([5e-3, 1e-3], [coarse.shape[1], fine.shape[1]])
-    np.testing.assert_allclose(w.before_h, step[None] + 0 * w.before_h, atol=1e-9)
+    np.testing.assert_allclose(w.before_h, 1e-3, atol=1e-9)
     np.testing.assert_allclose(np.asarray(w.u[:, 0] - w.before[:, -1]), 1e-3, atol=1e-9)
     for edge in holes:  # from the first row that a window remembers to its last
         first = np.asarray(w.before)[:, 0] * 1e3
@@ -653,17 +649,14 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
 
 
 def test_the_command_ahead_of_a_window_reaches_far_back(recorded):
-    """Coarse, then tick by tick, and with the same integral as the log's own."""
     case = recorded(SEED, {})
     data, log = opened(case).fit, Log.load(case / "fit_1.csv")
-    w, u, h = data.windows, log.signals["u"], 1e-3
+    w, u = data.windows, log.signals["u"]
+    assert w.before.shape[1] == windows.REACH
     for i in (0, 5):
-        first, back = int(w.first[i]), windows.COARSE * windows.EACH
-        near = first - windows.PRE
-        assert np.sum(w.before_h[i]) == pytest.approx((first - near + back) * h)
-        assert np.allclose(w.before[i, windows.COARSE :], u[near:first])
-        got = np.sum(np.asarray(w.before[i] * w.before_h[i]))
-        assert got == pytest.approx(np.sum(u[near - back : first]) * h, abs=1e-9)
+        first = int(w.first[i])
+        assert np.sum(w.before_h[i]) == pytest.approx(windows.REACH * 1e-3)
+        assert np.allclose(w.before[i], u[first - windows.REACH : first])
 
 
 def test_a_segment_that_begins_late_had_stood_still():
@@ -676,10 +669,10 @@ def test_a_segment_that_begins_late_had_stood_still():
         log=0, origin=0.0, t=t, place=line, v=zero, a=zero, u=u, P_s=zero, P_r=zero,
         P=np.zeros((t.size, 2)), F=zero, smoothed=zero,
     )  # fmt: skip
-    before, h = windows._past(segment, 150, windows.PRE)
-    assert before.size == h.size == windows.COARSE + windows.PRE
-    assert np.all(h > 0)
-    reach = np.cumsum(h[::-1])[::-1] - h  # from a step's end to the window
+    before, h = windows._past(segment, 150, windows.REACH)
+    assert before.size == h.size == windows.REACH
+    assert np.allclose(h, 1e-3)
+    reach = np.cumsum(h[::-1])[::-1] - h  # from a tick's end to the window
     assert np.allclose(before[reach > 0.05], 2.0)
     assert np.allclose(before[reach < 0.049], -1.0)
 

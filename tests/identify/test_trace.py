@@ -29,6 +29,7 @@ CASES = {
     "force_ripple": (7, {"force_ripple": {"force": 60.0, "frequency": 13.0}}),
     "late_film": (8, {"frictional_lag": {"tau_h": 0.15}}),
     "wide_stribeck": (9, {"stribeck": {"k_st": 300.0, "v_s": 0.01}}),
+    "late_command": (24, {"valve_delay": {"tau_u": 12e-3}}),
     "soft_rod": (23, {"rod_compliance": {"k": 5e6}}),
 }
 """Seed and effects of each case."""
@@ -107,7 +108,9 @@ def test_an_effect_is_named_and_measured(traced, name):
     assert name in outcome.sentence
 
 
-@pytest.mark.parametrize("name", ["late_film", "wide_stribeck", "soft_rod"])
+@pytest.mark.parametrize(
+    "name", ["late_film", "wide_stribeck", "soft_rod", "late_command"]
+)
 def test_an_effect_is_named_that_lies_far_from_where_it_is_absent(traced, name):
     """What a film does that comes 0.15 s late is not foreseen by its slope at none; and
     a Stribeck curve as wide as the speeds in use is first taken for k_v. A rod three
@@ -447,12 +450,34 @@ def test_a_constant_signal_is_never_followed():
 def test_a_line_is_found(signals, hertz):
     t = 1e-3 * np.arange(46 * 250).reshape(46, 250)
     residual = 1.5 * np.sin(2 * np.pi * hertz * t) + white(1)
-    found, height = spectral_line(residual, 1e-3)
+    found, height, chance = spectral_line(residual, 1e-3)
     assert found == pytest.approx(hertz, abs=4.0)
-    assert height > 12
+    assert height > 12 and chance < 1e-6
     left = unexplained("F", "N", 1.0, residual, signals, 1e-3)
     assert left.follows == "frequency"
     assert "line near" in left.description
+
+
+def walk(seed: int) -> np.ndarray:
+    steps = np.random.default_rng(seed).normal(size=46 * 250)
+    return np.cumsum(steps).reshape(46, 250)
+
+
+@pytest.mark.parametrize("made", [white, walk])
+def test_a_smooth_spectrum_shows_a_line_at_the_stated_level(made):
+    """Of 200 residuals some 5 % have p < 0.05; a random walk shows no line at all."""
+    found = [spectral_line(made(seed), 1e-3) for seed in range(200)]
+    assert np.mean([p < 0.05 for *_, p in found]) < 0.11
+    assert max(height for _, height, _ in found) < 3
+
+
+@pytest.mark.parametrize("hertz", [21.0, 50.0, 217.0, 430.0])
+def test_a_line_is_found_on_a_random_walk(hertz):
+    t = 1e-3 * np.arange(46 * 250).reshape(46, 250)
+    residual = 3 * np.sin(2 * np.pi * hertz * t) + walk(2)
+    found, height, chance = spectral_line(residual, 1e-3)
+    assert found == pytest.approx(hertz, abs=4.0)
+    assert height > 3 and chance < 1e-6
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -111,6 +111,24 @@ def test_steps_give_what_the_pieces_give(rig, drive, dress, substeps):
     assert np.max(np.abs(steps - whole) / size) < 1e-9
 
 
+@pytest.mark.parametrize("ticks", [0, 7, 40])
+@pytest.mark.parametrize("others", [{}, {"valve_lag": 2e-3, "valve_hysteresis": 0.1}])
+def test_a_late_command_is_an_earlier_one(rig, drive, ticks, others):
+    """By whole ticks: the command's columns are moved, held at the first."""
+    _, w, P_0 = arrays(drive())
+    path = [EFFECTS[name](value) for name, value in others.items()]
+    rest = add(rig, path)
+    late = add(rig, [EFFECTS["valve_delay"](ticks * 1e-3), *path])
+    pre = w.before.shape[1]
+    u = np.concatenate([w.before, w.u], axis=1)
+    moved = u[:, np.maximum(np.arange(u.shape[1]) - ticks, 0)]
+    earlier = w._replace(before=moved[:, :pre], u=moved[:, pre:])
+    for got, wanted in zip(
+        pressures(late, w, P_0), pressures(rest, earlier, P_0), strict=True
+    ):
+        assert np.allclose(got, wanted, rtol=0, atol=1e-3)  # Pa, of 7 MPa
+
+
 def test_a_rig_starts_at_rest(rig, drive):
     """Held at rest with the valve shut, nothing moves."""
     rig = everything(rig)

@@ -1,0 +1,150 @@
+"""Effects that were added, questioned again with all the others present."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from hydrojax.identify.tracing.judge import worse, worsened
+from hydrojax.identify.tracing.refit import fit_from, refit
+from hydrojax.identify.tracing.score import Projection
+from hydrojax.identify.tracing.screen import scores_of
+from hydrojax.identify.tracing.state import Tracing, free_names, strengths
+from hydrojax.plant.effect import Effect
+
+
+def reconsidered(
+    state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
+) -> Tracing:
+    """Let go of effects that the last one made needless, and exchange one that a rival
+    does better than: an early pick was made while the others were still missing.
+    """
+    for name in [a.name for a in state.added[:-1]]:
+        less = without(state, name, noise)
+        own, gone = (
+            s.check.rms(s.check.errors_at(s.point.values)) for s in (state, less)
+        )
+        if np.all(gone <= own + state.criteria.matters * noise):
+            state.progress(f"let go of {name}")
+            state = replace(less, tried={**less.tried, name: "needless"})
+        elif np.any((own > state.criteria.at_noise * noise)[np.isfinite(noise)]):
+            state = _exchanged(state, less, name, effects, noise)
+    return state
+
+
+def without(state: Tracing, name: str, noise: Float[np.ndarray, "3"]) -> Tracing:
+    """The state with one effect taken out and the rest fitted again."""
+    effect = state.effects[name]
+    own = set(free_names(effect))
+    free = tuple(n for n in state.free if n not in own)
+    values = state.point.values.copy()
+    for n in strengths(effect):
+        values[state.problem.model.names.index(n)] = 0.0
+    state.progress(f"refit without {name}")
+    problem, point = fit_from(state, values, free, noise)
+    added = tuple(a for a in state.added if a.name != name)
+    return replace(state, problem=problem, point=point, free=free, added=added)
+
+
+def _exchanged(
+    state: Tracing,
+    less: Tracing,
+    name: str,
+    effects: Mapping[str, Effect],
+    noise: Float[np.ndarray, "3"],
+) -> Tracing:
+    """The state, or with the best of an effect's rivals in its place if that has the
+    smaller validation error, beyond chance. `less` is the state without the effect.
+    """
+    criteria = state.criteria
+    known = {a.name for a in state.added}
+    rest = {n: e for n, e in effects.items() if n not in known or n == name}
+    scores = scores_of(less, rest, noise)
+    order = sorted(scores.values(), key=lambda s: -s.gain)
+    enough = criteria.rival * scores[name].gain if name in scores else 0.0
+    rivals = [s for s in order if s.name != name and s.gain > max(enough, 0.0)]
+    own = state.check.errors_at(state.point.values)
+    for s in rivals[: criteria.rivals]:
+        less.progress(f"refit with {s.name} in place of {name}")
+        problem, point = refit(less, effects[s.name], s, noise)
+        after = less.check.errors_at(point.values)
+        if not worse(own, after, noise, criteria.beyond_chance):
+            continue
+        if worsened(state, own, after, noise):
+            continue
+        state.progress(f"{s.name} takes the place of {name}")
+        rms = state.check.rms
+        added = tuple(
+            replace(a, name=s.name, after=rms(after), cannot_tell_from=())
+            if a.name == name
+            else a
+            for a in state.added
+        )
+        free = (*less.free, *free_names(effects[s.name]))
+        state = replace(
+            state,
+            problem=problem,
+            point=point,
+            free=free,
+            added=added,
+            tried={**state.tried, name: "exchanged", s.name: "helps"},
+        )
+        own, name = after, s.name
+    return state
+
+
+def with_look_alikes(state: Tracing) -> Tracing:
+    """Each effect's `cannot_tell_from`, with all that was found present.
+
+    A rival whose columns are nearly parallel to the effect's, off all that is fitted,
+    is put in the effect's place and fitted; the two cannot be told apart where its
+    validation error is not larger beyond chance.
+    """
+    noise, criteria = state.noise, state.criteria
+    own = state.check.errors_at(state.point.values)
+    known = {a.name for a in state.added}
+    told = set(state.tried) if len(state.added) == 1 else set()
+    added = []
+    for a in state.added:
+        near = _near_parallel(state, a.name)
+        near = [n for n in near if n not in {*known, *told, *a.cannot_tell_from}]
+        alike = list(a.cannot_tell_from)
+        less = without(state, a.name, noise) if near else state
+        for name in near[: criteria.rivals]:
+            state.progress(f"refit with {name} in place of {a.name}")
+            s = scores_of(less, {name: state.effects[name]}, noise)[name]
+            _, point = refit(less, state.effects[name], s, noise)
+            after = less.check.errors_at(point.values)
+            if not worse(after, own, noise, criteria.worse_by):
+                alike.append(name)
+        added.append(replace(a, cannot_tell_from=tuple(alike)))
+    return replace(state, added=tuple(added))
+
+
+def _near_parallel(state: Tracing, name: str) -> list[str]:
+    """Candidates whose columns, off all else that is fitted, can follow an effect's
+    own at the present fit: the closest first.
+    """
+    problem, names = state.problem, list(state.problem.model.names)
+    gram = np.array(problem.sums_at(state.point.values, state.point.weights).gram)
+    own = set(free_names(state.effects[name]))
+    fitted = [names.index(n) for n in state.free if n not in own]
+    projection = Projection(gram, fitted, np.zeros(len(names)))
+    mine = [names.index(n) for n in strengths(state.effects[name])]
+    amount = state.point.values[mine] / problem.model.scale[mine]
+    size = float(amount @ projection.curvature(mine, mine) @ amount)
+    follows = {}
+    for other, effect in state.effects.items():
+        theirs = [names.index(n) for n in strengths(effect)]
+        H = projection.curvature(theirs, theirs)
+        seen = np.diag(H) > 1e-9 * projection.total[theirs, theirs]
+        if other == name or not size > 0 or not np.all(seen):
+            continue
+        cross = projection.curvature(theirs, mine) @ amount
+        H = H + 1e-9 * np.diag(np.diag(H))
+        follows[other] = float(cross @ np.linalg.solve(H, cross)) / size
+    order = sorted(follows, key=lambda n: -follows[n])
+    return [n for n in order if follows[n] > state.criteria.near_parallel**2]
