@@ -30,6 +30,7 @@ from hydrojax.identify.estimation.problem import (
 )
 from hydrojax.identify.estimation.starts import best_start
 from hydrojax.identify.inference.profile import profiles
+from hydrojax.identify.inference.tolerance import with_tolerances
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
@@ -270,6 +271,7 @@ def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
 def _outcome(command, case, state, base, began, compiled, progress, profile) -> Outcome:
     progress("errors, intervals and residuals")
     state, uncertainty, said = _settled(state)
+    uncertainty = with_tolerances(uncertainty, case, state)
     if profile:
         found = profiles(state.problem, state.point, state.free, uncertainty, progress)
         uncertainty = replace(uncertainty, profiles=found)
