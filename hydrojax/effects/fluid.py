@@ -1,4 +1,4 @@
-"""Effects of lines and fluid: supply, compensator, counterbalance, leakage, volumes and compliance."""
+"""Effects of lines and fluid: supply, valves in the lines, leakage, compliance."""
 
 from __future__ import annotations
 
