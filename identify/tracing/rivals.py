@@ -92,7 +92,7 @@ def _exchanged(
             added=added,
             tried={**state.tried, name: "exchanged", s.name: "helps"},
         )
-        own, name = after, s.name
+        break
     return state
 
 
