@@ -228,7 +228,7 @@ def files_run() -> list[str]:
     count.
     """
     import hydrojax
-    from hydrojax.identify.results.outcome import report_json
+    from hydrojax.identify.results.report_json import report_json
 
     demo = resources.files("hydrojax") / "demo"
     mine = {str(path.resolve()) for path in modules().values()}

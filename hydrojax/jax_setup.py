@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import os
 import sys
 import warnings
@@ -73,8 +75,9 @@ def _has_wide_vectors() -> bool:
         return False
 
 
-MAPPED = 0.5
-"""Share of the kernel's limit of memory mappings from which programs are let go."""
+MAPPED = 0.25
+"""Share of the kernel's limit of memory mappings from which programs are let go: some
+seven fits of rigs that differ in structure, half a gigabyte of programs."""
 
 
 def make_room(share: float = MAPPED) -> bool:
@@ -85,9 +88,33 @@ def make_room(share: float = MAPPED) -> bool:
     no more: after fits of some thirty rigs that differ in structure. What is let go
     and needed again comes from the cache on disk, or is compiled again.
 
+    What the compiler has freed goes back to the system, too: the C library would keep
+    some 400 MiB of it for every program.
+
     Returns:
         Whether anything was let go; never where the system does not say what it allows.
     """
+    gone = _without_programs(share)
+    _return_freed_memory()
+    return gone
+
+
+def cores() -> int:
+    """How many processor cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _return_freed_memory() -> None:
+    gc.collect()
+    try:
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+    except (OSError, AttributeError):
+        return  # another C library: it has its own ways
+
+
+def _without_programs(share: float) -> bool:
     try:
         allowed = int(Path("/proc/sys/vm/max_map_count").read_text())
         with open("/proc/self/maps", "rb") as lines:

@@ -23,6 +23,9 @@ _QUANTITY = re.compile(
 )
 
 
+_TOLERANCE = re.compile(r"(.*?)\s*(?:\+/?-|±)\s*(.+)", re.DOTALL)
+
+
 _TOWER = re.compile(
     r"(?:\*\*|\^)[\s(+-]*[\d.]+[\s)]*(?:\*\*|\^)|(?:\*\*|\^)[\s(+-]*\d\d"
 )
@@ -143,6 +146,30 @@ def quantity(text: object, want: str, where: str) -> float:
     if not unit and ("rad" in want or not fits("1", want)):
         raise InputError(f'{where}: {text!r} has no unit; write "{value:g} {want}"')
     return to_si(value, unit or "1", want, where)
+
+
+def parted(text: object) -> tuple[object, str]:
+    """A quantity without its tolerance, and the tolerance as written ("" without one):
+    "1 mm +- 2 %" is "1 mm" and "2 %".
+    """
+    match = _TOLERANCE.fullmatch(text) if isinstance(text, str) else None
+    return (match[1], match[2]) if match else (text, "")
+
+
+def tolerance(written: str, value: float, want: str, where: str) -> float:
+    """A tolerance in SI: a quantity, or per cent of `value`; 0 where none is written.
+
+    Raises:
+        InputError: it is not above 0, or see `quantity`.
+    """
+    if not written:
+        return 0.0
+    number, unit = split(written, where)
+    percent = unit == "%"
+    out = number / 100 * abs(value) if percent else quantity(written, want, where)
+    if not out > 0:
+        raise InputError(f"{where}: tolerance {written!r} must be above 0")
+    return out
 
 
 def in_si(value: QuantityLike, want: str, where: str) -> float:

@@ -30,12 +30,14 @@ from hydrojax.identify.estimation.problem import (
 )
 from hydrojax.identify.estimation.starts import best_start
 from hydrojax.identify.inference.profile import profiles
+from hydrojax.identify.inference.tolerance import with_tolerances
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.summary import summarise, with_inputs
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing
+from hydrojax.jax_setup import cores
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
 from hydrojax.rigfile.build import build_rig, effects_of
@@ -151,11 +153,14 @@ def trace_case(
     problem, check, free, effects = _problems(case, names)
     compiled = _Compiling()
     values = problem.initial_values()
-    with ThreadPoolExecutor(2) as pool:
-        # What the trace will need is compiled while the first fit runs.
+    spare = cores() - 1
+    with ThreadPoolExecutor(max(spare, 1)) as pool:
+        # What the trace will need is compiled while the first fit runs, where a core
+        # has nothing else to do: each program takes 600 MiB while it is compiled.
         ahead = [
-            pool.submit(check.errors_at, values),
-            pool.submit(problem.sums_at, values),
+            pool.submit(evaluate, values)
+            for evaluate in (check.errors_at, problem.sums_at)
+            if spare
         ]
         inputs = pool.submit(check_inputs, case.spec, case.read_logs)
         early, values, done, point = _fit_base(
@@ -264,6 +269,7 @@ def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
 def _outcome(command, case, state, base, began, compiled, progress, profile) -> Outcome:
     progress("errors, intervals and residuals")
     state, uncertainty, said = _settled(state)
+    uncertainty = with_tolerances(uncertainty, case, state)
     if profile:
         found = profiles(state.problem, state.point, state.free, uncertainty, progress)
         uncertainty = replace(uncertainty, profiles=found)

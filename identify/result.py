@@ -74,8 +74,9 @@ class Result:
         """One row a compared channel: errors are RMS, SI.
 
         Columns: `unit`, `noise` (standard deviation), `before` (with the declared
-        model), `after` (with the final one), `ratio` (`after` over `noise`). They are
-        of the test logs where there are any, with `validate_before` and
+        model), `after` (with the final one), `ratio` (`after` over `noise`), `held` (of
+        the value measured as each window began) and `skill`, 1 - (after / held)^2. They
+        are of the test logs where there are any, with `validate_before` and
         `validate_after` beside them; else of the validation logs.
         """
         rows = {}
@@ -87,10 +88,29 @@ class Result:
                 "after": c.after,
                 "ratio": c.after / c.noise,
             }
+            if c.window:
+                rows[name] |= {"held": c.window.held, "skill": c.window.skill}
             if c.validate is not None:
                 rows[name]["validate_before"] = c.validate.before
                 rows[name]["validate_after"] = c.validate.after
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
+
+    @cached_property
+    def horizons(self) -> pd.DataFrame:
+        """Errors of longer runs: one row a channel and length of the run, RMS, SI.
+
+        Columns: `before`, `after`, `held`, `arx` (a linear ARX model with the same
+        inputs) and `skill`; NaN where a run does not stay finite. "free" runs through
+        whole logs from their first window's pressures.
+        """
+        rows = {
+            (name, length): {**vars(h), "skill": h.skill}
+            for name, c in self.outcome.channels.items()
+            for length, h in c.horizons.items()
+        }
+        frame = pd.DataFrame.from_dict(rows, orient="index", dtype=float)
+        frame.index = pd.MultiIndex.from_tuples(rows, names=("channel", "run"))
+        return frame
 
     @cached_property
     def rig(self) -> RigFile:

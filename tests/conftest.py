@@ -1,5 +1,6 @@
 """A reference rig, and short synthetic logs with motion known in closed form."""
 
+import os
 import resource
 import sys
 import tempfile
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from hydrojax import cli
-from hydrojax.jax_setup import set_up_jax
+from hydrojax.jax_setup import make_room, set_up_jax
 from hydrojax.parameters import parameter_specs, put
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.replay import Motion, Windows
@@ -22,6 +23,18 @@ from tests import generator
 CACHE_HOME = Path(tempfile.gettempdir()) / "hydrojax-tests"
 """Compiled programs are kept here between runs, in a folder `hydrojax`."""
 
+
+def _pin() -> None:
+    """One core for each of the suite's workers, so that none compiles two programs at
+    once, which is what takes most memory.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if worker and hasattr(os, "sched_setaffinity"):
+        own = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {own[int(worker.removeprefix("gw")) % len(own)]})
+
+
+_pin()
 set_up_jax(CACHE_HOME / "hydrojax")
 
 GEOMETRY = {"area": 1.18e-3, "chamber_length": 0.2}
@@ -158,6 +171,17 @@ def set_reference(rig: Rig) -> Rig:
     """The rig at those of the reference parameters that it has."""
     known = {n: v for n, v in REFERENCE.items() if n in parameter_specs(rig)}
     return put(rig, list(known), np.array(list(known.values())))
+
+
+PROGRAMS_KEPT = 0.1
+"""Share of the kernel's mappings that programs may take from one module to the next."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def room() -> Iterator[None]:
+    """What a module compiled goes when it is done, if it was much."""
+    yield
+    make_room(PROGRAMS_KEPT)
 
 
 @pytest.fixture(scope="session")

@@ -150,16 +150,18 @@ def _finish(result: Result, out: Path) -> None:
 
 def print_outcome(outcome: Outcome) -> None:
     """Print verdict, errors by channel, effects and remarks."""
+    from hydrojax.identify.results.outcome import skill_text
     from hydrojax.report.text import quantity_text
 
     console.print(outcome.verdict, style="bold", end="  ")
     console.print(f"{outcome.sentence}\n", markup=False)
-    table = Table("channel", "noise", "before", "after", "after / noise")
+    table = Table("channel", "noise", "before", "after", "after / noise", "skill")
     for name, c in outcome.channels.items():
         table.add_row(
             name,
             *(quantity_text(v, c.unit) for v in (c.noise, c.before, c.after)),
             f"{c.after / c.noise:.3f}",
+            skill_text(c.window),
         )
     console.print(table)
     for effect in outcome.effects:

@@ -131,16 +131,29 @@ class Prescribed(AbstractLoad):
         return at, force(environment.v, environment.a)
 
 
-class Driven(AbstractLoad):
-    """The environment leads the piston; at rest it is locked."""
+class _Moving(AbstractLoad):
+    """A load that moves the piston itself, part by part of a tick."""
 
     def parts(self, inputs):
         """Those of the environment's motion."""
         return _parts(inputs)
 
     def piston(self, at, part):
-        """The environment's motion."""
+        """The motion that `move` gives."""
         return _moved(part, self.move(at, environment_of(part), part.h))
+
+    @abstractmethod
+    def move(
+        self,
+        at: PistonMotion,
+        environment: EnvironmentMotion,
+        h: Float[Array, "*batch"],
+    ) -> Float[Array, "*batch 3"]:
+        """The piston's place at start, middle and end of the part, [..., 3], m."""
+
+
+class Driven(_Moving):
+    """The environment leads the piston; at rest it is locked."""
 
     def begin(
         self, environment: EnvironmentMotion, h: Float[Array, "*batch"], force: Force
@@ -173,7 +186,7 @@ class Driven(AbstractLoad):
         )
 
 
-class Inertia(AbstractLoad):
+class Inertia(_Moving):
     """A mass on the output, held by a spring and a damper to the environment.
 
     `mass a = F - damping (v - v_e) - stiffness (x - x_e)`, by the leapfrog rule: of
@@ -187,14 +200,6 @@ class Inertia(AbstractLoad):
     damping: Float[Array, ""] = param(
         "N*s/m", 2e3, 0.0, 1e8, "its damper to the environment"
     )
-
-    def parts(self, inputs):
-        """Those of the environment's motion."""
-        return _parts(inputs)
-
-    def piston(self, at, part):
-        """Where the mass goes under its last acceleration."""
-        return _moved(part, self.move(at, environment_of(part), part.h))
 
     def begin(
         self, environment: EnvironmentMotion, h: Float[Array, "*batch"], force: Force

@@ -60,6 +60,8 @@ class RigFile:
         command_unit: the valve command's, "V" or "1", as the constants imply; "V" if
             none is given.
         path: the file; what opens the line of an error.
+        tolerances: standard deviations with which geometry and supply are known, by
+            key, SI; those of parameters are in their entries.
         text: the TOML that all of this was read from.
     """
 
@@ -77,6 +79,7 @@ class RigFile:
     path: str
     law: AbstractController | None = None
     valve: AbstractValve | None = None
+    tolerances: dict[str, float] = field(default_factory=dict)
     text: str = field(default="", repr=False, compare=False)
 
     @classmethod
@@ -222,11 +225,13 @@ def read_rig(
         for name, unit in SIGNALS.items()
         if name != "time"
     }
+    geometry, known = _with_tolerances(f"{path}: [geometry]", file.geometry, GEOMETRY)
+    supply, also = _with_tolerances(f"{path}: [supply]", file.supply, SUPPLY_UNITS)
     spec = RigFile(
         name=file.name or Path(path).stem,
         layout=layout,
-        geometry=section_values(f"{path}: [geometry]", file.geometry, GEOMETRY),
-        supply=section_values(f"{path}: [supply]", file.supply, SUPPLY_UNITS),
+        geometry=geometry,
+        supply=supply,
         sensors=section_values(f"{path}: [sensors]", file.sensors, noise_units),
         output_load=section_values(f"{path}: [load]", file.load, LOAD),
         channels=file.channels,
@@ -237,10 +242,28 @@ def read_rig(
         controller=file.controller,
         command_unit=command,
         path=path,
+        tolerances=known | also,
         text=text,
     )
     _check(spec)
     return spec
+
+
+def _with_tolerances(
+    where: str, given: Mapping[str, object], wants: Mapping[str, str]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """As `section_values`, and the tolerances of those that have one, SI.
+
+    Raises:
+        InputError: see `section_values`; or a tolerance that is not above 0.
+    """
+    parts = {key: units.parted(text) for key, text in given.items()}
+    values = section_values(where, {k: p[0] for k, p in parts.items()}, wants)
+    found = {
+        key: units.tolerance(written, values[key], wants[key], f"{where} {key}")
+        for key, (_, written) in parts.items()
+    }
+    return values, {key: t for key, t in found.items() if t}
 
 
 def _check(spec: RigFile) -> None:

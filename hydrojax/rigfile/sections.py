@@ -157,11 +157,13 @@ class Entry:
         start: where the search starts, or the value held.
         range: the range it may take; None: held fixed at `start`.
         unit: SI unit of both.
+        tolerance: standard deviation with which a held value is known; 0: exactly.
     """
 
     start: float
     range: tuple[float, float] | None
     unit: str
+    tolerance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,7 @@ class Given:
     start: object
     range: tuple[object, object] | None
     reciprocal: bool  # given under `spec.outside`
+    tolerance: str = ""
 
 
 def section_values(
@@ -204,7 +207,8 @@ def givens(
     check_known(where, [k for k in table if k not in known], shown, "parameter")
     found: list[Given] = []
     for key, value in table.items():
-        field, start, bounds = outside.get(key, key), value, None
+        field, bounds = outside.get(key, key), None
+        start, tolerance = units.parted(value)
         if any(given.field == field for given in found):
             raise InputError(f"{where} {key} gives {field} a second time; drop one")
         if isinstance(value, dict):
@@ -218,8 +222,11 @@ def givens(
             bounds = (ends[0], ends[1])
         reciprocal = key in outside and key not in known
         found.append(
-            Given(f"{where} {key}", field, known[field], start, bounds, reciprocal)
-        )
+            Given(
+                f"{where} {key}", field, known[field], start, bounds, reciprocal,
+                tolerance,
+            )
+        )  # fmt: skip
     return found
 
 
@@ -272,8 +279,11 @@ def entry(given: Given, command: str) -> Entry:
         values.append(value)
     unit = units.with_command(given.spec.unit, command)
     if given.range is None:
-        start = 1.0 / values[0] if given.reciprocal else values[0]
-        return Entry(start, None, unit)
+        start = values[0]
+        tolerance = units.tolerance(given.tolerance, start, want, given.where)
+        if given.reciprocal:
+            start, tolerance = 1.0 / start, tolerance / start**2
+        return Entry(start, None, unit, tolerance)
     start, lower, upper = values
     if not lower < upper:
         raise InputError(

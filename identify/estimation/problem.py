@@ -221,6 +221,10 @@ class Problem:
             rig, batch, left, lambda b: self._left(values, b)[0], self.criteria
         )
 
+    def started(self, values: Float[np.ndarray, "n"]) -> Batch:
+        """The batch with each window's initial pressures as `values` want them."""
+        return self._begun(values)[0]
+
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
         at = jnp.asarray(values)

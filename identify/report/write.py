@@ -16,8 +16,9 @@ from hydrojax.identify.results.outcome import (
     ChannelErrors,
     Outcome,
     Parameter,
-    report_json,
+    skill_text,
 )
+from hydrojax.identify.results.report_json import report_json
 from hydrojax.report import markup
 from hydrojax.report.files import write_all
 from hydrojax.report.page import Picture, page
@@ -244,7 +245,7 @@ def report_page(outcome: Outcome, shown: Sequence[Picture]) -> str:
     """report.html, with its pictures inside."""
     help_ = (
         quantity_text, change, remarks, times_noise, standing, share, listed, words,
-        p_text,
+        p_text, skill_text,
     )  # fmt: skip
     return page(
         Path(__file__).parent / "report.html",
@@ -252,6 +253,11 @@ def report_page(outcome: Outcome, shown: Sequence[Picture]) -> str:
         o=outcome,
         pictures={p.name: p for p in shown},
         ranking=figures.ranking(outcome),
+        horizons=[
+            (name, length, h, c.unit)
+            for name, c in outcome.channels.items()
+            for length, h in c.horizons.items()
+        ],
         at_noise=outcome.criteria.at_noise,
         judged=figures.judged(outcome),
         explorer=explorer_data(outcome),

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -44,10 +42,43 @@ class Errors:
 
 
 @dataclass(frozen=True)
+class Horizon:
+    """RMS error of one channel over runs of one length, SI; None where a run does not
+    stay finite.
+
+    Attributes:
+        before: of the declared model.
+        after: of the final model.
+        held: of the value measured as each run began.
+        arx: of a linear ARX model of order 4 with the same inputs, fitted by least
+            squares to the fitted logs and simulated.
+    """
+
+    before: float | None
+    after: float | None
+    held: float
+    arx: float | None
+
+    @property
+    def skill(self) -> float | None:
+        """1 - (after / held)^2: 1 is perfect, 0 no better than the held value."""
+        if self.after is None or self.held == 0.0:
+            return None
+        return 1.0 - (self.after / self.held) ** 2
+
+
+def skill_text(h: Horizon | None) -> str:
+    """A skill to three decimals, or a dash where there is none."""
+    return "–" if h is None or h.skill is None else f"{h.skill:.3f}"
+
+
+@dataclass(frozen=True)
 class ChannelErrors:
     """Error of one channel, RMS, SI: on the test logs where there are any, and then
     that on the validation logs is `validate`; else on the validation logs, or on the
     fitted ones where there are none of either.
+
+    `horizons` are errors by length of the run: "0.25", "1", "5" (seconds), "free".
     """
 
     unit: str
@@ -55,12 +86,19 @@ class ChannelErrors:
     before: float
     after: float
     validate: Errors | None = None
+    horizons: Mapping[str, Horizon] = field(default_factory=dict)
+
+    @property
+    def window(self) -> Horizon | None:
+        """That of single windows, which `before` and `after` are of too."""
+        return next(iter(self.horizons.values()), None)
 
 
 @dataclass(frozen=True)
 class FoundEffect:
     """An effect that was named; `parameters` by their own names; errors by channel, on
-    the validation logs.
+    the validation logs. `share` is the part that it takes of the excess over the noise,
+    in squares, of all channels in units of their noise.
     """
 
     name: str
@@ -70,6 +108,7 @@ class FoundEffect:
     after: dict[str, float]
     cannot_tell_from: tuple[str, ...]
     residual_axis: str
+    share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -207,92 +246,21 @@ class Outcome:
     criteria: Criteria = Criteria()
     inputs: tuple[Finding, ...] = ()
 
-
-FORMAT = "hydrojax-report/1"
-
-
-def report_json(outcome: Outcome) -> dict[str, Any]:
-    """The content of report.json: SI units; null for what is not a finite number."""
-    o = outcome
-    found = {
-        "format": FORMAT,
-        "command": o.command,
-        "rig": o.rig,
-        "logs": {
-            "fit": o.fit_logs,
-            "validate": o.validate_logs,
-            "test": o.test_logs,
-        },
-        "verdict": o.verdict,
-        "sentence": o.sentence,
-        "parameters": {n: _parameter(p) for n, p in o.parameters.items()},
-        "channels": {n: _channel(c) for n, c in o.channels.items()},
-        "effects": [_effect(e) for e in o.effects],
-        "candidates": [asdict(c) for c in o.candidates],
-        "unexplained": [_unexplained(u) for u in o.unexplained],
-        "closed_loop": [_loop(c) for c in o.loops],
-        "covariance": asdict(o.covariance) if o.covariance else None,
-        "inputs": [asdict(f) for f in o.inputs],
-        "limits": o.limits,
-        "notes": o.notes,
-        "seconds": o.seconds,
-        "criteria": asdict(o.criteria),
-    }
-    return _strict(found)
+    @property
+    def explained_share(self) -> float:
+        """The part that all effects together take of the excess over the noise, in
+        squares; 0 where there was no excess, or no effect.
+        """
+        ends = [(c.validate or c, c.noise) for c in self.channels.values()]
+        excess = sum(excess_of(e.before, noise) for e, noise in ends)
+        rest = sum(excess_of(e.after, noise) for e, noise in ends)
+        if not excess or not self.effects:
+            return 0.0
+        return min(max(1.0 - rest / excess, 0.0), 1.0)
 
 
-def _parameter(p: Parameter) -> dict[str, Any]:
-    return {
-        "value": p.value,
-        "std": p.std,
-        "unit": p.unit,
-        "interval": p.interval,
-        "start": p.start,
-        "at_bound": p.at_bound,
-        "identified": p.identified,
-        "held": not p.free,
-        "says": p.description,
-        **({"profile": p.profile} if p.profile else {}),
-    }
-
-
-def _effect(e: FoundEffect) -> dict[str, Any]:
-    own = {n: _parameter(p) for n, p in e.parameters.items()}
-    # Not asdict: it would spell a parameter's fields in another way than the rig's.
-    return {
-        "name": e.name,
-        "parameters": own,
-        "p_value": e.p_value,
-        "before": e.before,
-        "after": e.after,
-        "cannot_tell_from": e.cannot_tell_from,
-        "betrayed_by": e.residual_axis,
-    }
-
-
-def _channel(c: ChannelErrors) -> dict[str, Any]:
-    own = asdict(c)
-    return own if c.validate else {k: v for k, v in own.items() if k != "validate"}
-
-
-def _unexplained(u: Unexplained) -> dict[str, Any]:
-    own = asdict(u)
-    return own | {"says": own.pop("description")}
-
-
-def _loop(c: LoopCheck) -> dict[str, Any]:
-    names = ("log", "rms", "tracking_measured", "tracking_simulated", "warning")
-    return {"unit": "N"} | {name: getattr(c, name) for name in names}
-
-
-def _strict(value: Any) -> Any:
-    """The same in JSON's own types, without NaN and infinity."""
-    if hasattr(value, "tolist"):
-        value = value.tolist()  # an array's or a NumPy number's own way
-    if isinstance(value, Mapping):
-        return {str(k): _strict(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_strict(v) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def excess_of(rms: float, noise: float) -> float:
+    """The part of a mean square error that noise does not account for, over the
+    noise's.
+    """
+    return max((rms / noise) ** 2 - 1.0, 0.0)

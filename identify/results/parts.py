@@ -19,6 +19,7 @@ from hydrojax.identify.results.outcome import (
     LoopCheck,
     Parameter,
     Series,
+    excess_of,
 )
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
@@ -121,6 +122,7 @@ def named_effects(
     # An effect counts up to where the next one came in, the last to the end:
     # the force is fitted only after the pressures have theirs.
     ends = [errors[0], *(a.before for a in state.added[1:]), errors[1]]
+    excess = [sum(excess_of(e[c], state.noise[c]) for c in seen) for e in ends]
     for i, added in enumerate(state.added):
         own = [n for n in spec if n.startswith(f"{added.name}.")]
         out.append(
@@ -137,6 +139,7 @@ def named_effects(
                     *aliases(added.name, case.spec),
                 ),
                 residual_axis=EFFECTS[added.name].residual_axis,
+                share=(excess[i] - excess[i + 1]) / max(excess[0], 1e-12),
             )
         )
     return tuple(out)

@@ -14,6 +14,7 @@ from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
+from hydrojax.identify.results.horizons import horizons_of
 from hydrojax.identify.results.outcome import (
     Candidate,
     ChannelErrors,
@@ -29,6 +30,7 @@ from hydrojax.identify.results.parts import (
     series_of,
     signals_of,
 )
+from hydrojax.identify.results.sentence import sentence, with_ends, without_skill
 from hydrojax.identify.results.unexplained import extrapolation, unexplained
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
@@ -69,8 +71,9 @@ def summarise(
         validate_logs=tuple(log.name for log in case.check_logs if case.held_out),
         test_logs=tuple(log.name for log in case.test_logs),
         verdict=verdict,
-        sentence=_with_ends(
-            _sentence(command, verdict, effects, left, case.held_out, needed),
+        sentence=without_skill(channels, state.criteria.at_noise)
+        + with_ends(
+            sentence(command, verdict, effects, left, case.held_out, needed),
             _at_ends(state, uncertainty),
         ),
         parameters=parameters_of(case, state, uncertainty),
@@ -107,10 +110,12 @@ def _channels(
     """Errors at the values `ends` [n]: of the test logs where there are any, with those
     of the validation logs, if any, which are `errors` [3], beside them.
     """
-    own = errors
+    own, judged = errors, state.check
     if case.test is not None:
-        tested = replace(state.check, batch=batch_of(case.test))
-        own = tuple(_rms(tested.residuals_at(values)) for values in ends)
+        judged = replace(state.check, batch=batch_of(case.test))
+        own = tuple(_rms(judged.residuals_at(values)) for values in ends)
+    length = case.preparation.horizon
+    horizons = horizons_of(state.problem, judged, ends, length)
     out = {}
     for c in seen:
         beside = Errors(float(errors[0][c]), float(errors[1][c]))
@@ -120,6 +125,7 @@ def _channels(
             float(own[0][c]),
             float(own[1][c]),
             beside if case.test is not None and case.held_out else None,
+            horizons[CHANNELS[c]],
         )
     return out
 
@@ -266,50 +272,6 @@ def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
     absent = {n for a in state.added for n in strengths(state.effects[a.name])}
     absent = {n for n in absent if state.named[n] == 0.0}
     return tuple(n for n in state.free if n in uncertainty.ends and n not in absent)
-
-
-def _with_ends(sentence: str, ends: tuple[str, ...]) -> str:
-    """The sentence, and in it what cannot be taken for an estimate."""
-    if not ends:
-        return sentence
-    stand = (
-        "stands at an end of its range"
-        if len(ends) == 1
-        else ("stand at an end of their ranges")
-    )
-    return f"{sentence.removesuffix('.')}, but {' and '.join(ends)} {stand}."
-
-
-def _sentence(
-    command: str,
-    verdict: str,
-    effects: tuple[FoundEffect, ...],
-    left: tuple[Unexplained, ...],
-    held_out: bool,
-    needed: tuple[str, ...],
-) -> str:
-    names = " and ".join(e.name for e in effects)
-    where = "validation" if held_out else "fitted"
-    if verdict == "nothing missing":
-        return f"Nothing is missing: every channel of the {where} logs is at its noise."
-    if verdict == "explained":
-        return (
-            f"The model lacked {names}: with it every channel of the {where} logs is "
-            "at its noise."
-        )
-    channels = " and ".join(u.channel for u in left)
-    start = f"{names} was found and added, but " if names else ""
-    rest = "; ".join(u.description for u in left)
-    if needed:
-        return (
-            f"{start}{channels} cannot be judged: the validation logs depend on "
-            f"{' and '.join(needed)}, which the fitted logs leave open. With values "
-            "that suit both, every channel of all logs is at its noise; fit a log that "
-            "moves as the validation logs do."
-        )
-    if command == "identify":
-        return f"The declared model does not explain {channels}: {rest}. Try trace."
-    return f"{start}no known effect explains the residual of {channels}: {rest}."
 
 
 def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:

@@ -704,3 +704,24 @@ def test_a_lag_is_measured_without_pressure_sensors(recorded, tmp_path):
     true = json.loads((case / "truth.json").read_text())["effects"]
     tau_F = found.parameters["loadcell_lag.tau_F"].value
     assert tau_F == pytest.approx(true["loadcell_lag"]["tau_F"], rel=0.05)
+
+
+def test_the_tolerance_of_a_held_constant_goes_into_the_intervals(recorded, tmp_path):
+    """The estimate moves by its standard deviation where the constant does by its own.
+
+    An area that is 1 % off moves the valve's constants by 1 %, at noise that alone
+    would let them move by less than a twentieth of that.
+    """
+    case = recorded(SEED)
+
+    def fitted(area: str) -> Outcome:
+        rig = edited(case, tmp_path, ("area =", f'area = "{area}"'))
+        return api.identify(opened(case, rig), starts=1)
+
+    known = fitted("1.18e-3 m^2 +- 1 %").parameters
+    moved = fitted("1.1918e-3 m^2").parameters
+    for name in (*VALVE, "beta", "k_cp"):
+        shift = moved[name].value - known[name].value
+        expected = float(np.hypot(shift, moved[name].std))
+        assert known[name].std == pytest.approx(expected, rel=0.1), name
+    assert known["c_p1"].std > 20 * moved["c_p1"].std

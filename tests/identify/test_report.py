@@ -24,8 +24,8 @@ from hydrojax.identify.results.outcome import (
     Parameter,
     Series,
     Unexplained,
-    report_json,
 )
+from hydrojax.identify.results.report_json import report_json
 from hydrojax.identify.results.summary import with_inputs
 from hydrojax.report import files, text
 
@@ -213,6 +213,7 @@ CONTRACT = {
     "logs": dict,
     "verdict": str,
     "sentence": str,
+    "explained_share": float,
     "parameters": dict,
     "channels": dict,
     "effects": list,
@@ -289,7 +290,7 @@ def test_json_keeps_the_contract(written, name):
         assert set(p) >= FREE
         assert not p["held"] or p["std"] is None
     for c in found["channels"].values():
-        assert set(c) == {"unit", "noise", "before", "after"}
+        assert set(c) == {"unit", "noise", "before", "after", "horizons"}
 
 
 def with_test_logs() -> Outcome:

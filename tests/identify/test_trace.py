@@ -17,7 +17,8 @@ from hydrojax.cli.identify import print_outcome
 from hydrojax.identify.api import trace_case
 from hydrojax.identify.case import open_case
 from hydrojax.identify.report.write import write_report
-from hydrojax.identify.results.outcome import Outcome, report_json
+from hydrojax.identify.results.outcome import Outcome
+from hydrojax.identify.results.report_json import report_json
 from hydrojax.identify.results.unexplained import dependence, spectral_line, unexplained
 from hydrojax.identify.tracing.score import Projection, Score, family, score
 from tests import generator

@@ -9,6 +9,7 @@ import pytest
 from hydrojax.errors import InputError
 from hydrojax.parameters import Spec, parameter_specs, specs
 from hydrojax.rigfile.build import build_rig
+from hydrojax.rigfile.edit import rewrite
 from hydrojax.rigfile.schema import RigFile, read_rig
 from hydrojax.rigfile.sections import Entry
 
@@ -312,3 +313,48 @@ def test_not_toml(tmp_path: Path) -> None:
         RigFile.load(tmp_path / "none.toml")
     with pytest.raises(InputError, match="cannot be read"):
         RigFile.load(tmp_path)
+
+
+# -- tolerances --
+
+
+@pytest.mark.parametrize("said", ["11.8 cm^2 +- 2 %", "11.8 cm^2 ± 0.236 cm^2"])
+def test_a_held_constant_may_have_a_tolerance(tmp_path, said):
+    file = read(tmp_path, swapped("11.8 cm^2", said))
+    assert file.geometry["area"] == pytest.approx(1.18e-3)
+    assert file.tolerances == {"area": pytest.approx(2.36e-5)}
+
+
+def test_a_held_parameter_may_have_one_too(tmp_path):
+    text = swapped('"60 um"', '"60 um +- 3 um"').replace(
+        '"0.01 1/N"', '"0.01 1/N +- 10 %"'
+    )
+    file = read(tmp_path, text)
+    assert file.parameters["z_ss"].tolerance == pytest.approx(3e-6)
+    assert file.parameters["delta"].tolerance == pytest.approx(1e-3)
+    assert file.parameters["k_fp"].tolerance == 0.0
+
+
+def test_a_reciprocal_has_its_tolerance_in_the_unit_that_is_stored(tmp_path):
+    line = '"1000 rad/s +- 1 %"'
+    entry = '{ start = "1000 rad/s", range = ["500 rad/s", "2000 rad/s"] }'
+    tau = read(tmp_path, swapped(entry, line)).effects["valve_lag"]["tau"]
+    assert (tau.start, tau.tolerance) == (pytest.approx(1e-3), pytest.approx(1e-5))
+
+
+@pytest.mark.parametrize(
+    "said, word",
+    [("11.8 cm^2 +- 0 %", "above 0"), ("11.8 cm^2 +- -1 %", "above 0"),
+     ("11.8 cm^2 +- 1 kg", "kg"), ("11.8 cm^2 +- 2", "no unit")],
+)  # fmt: skip
+def test_a_bad_tolerance_is_refused(tmp_path, said, word):
+    refusal(tmp_path, swapped("11.8 cm^2", said), "[geometry] area", word)
+
+
+def test_a_tolerance_is_kept_where_a_file_is_written_again():
+    text = SOUND.replace('"11.8 cm^2"', '"11.8 cm^2 +- 2 %"')
+    rest = text[: text.index("[effects.valve_lag]")]
+    file = RigFile.from_text(rest)
+    again = RigFile.from_text(rewrite(file, {"beta": 9e8}))
+    assert again.parameters["beta"].start == 9e8
+    assert again.tolerances == file.tolerances == {"area": pytest.approx(2.36e-5)}

@@ -1,0 +1,212 @@
+"""Errors of runs from a window's length to a whole log, beside predictors that know no
+plant: the value held as a run began, and a linear autoregressive model (ARX).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from hydrojax.identify.estimation.columns import Batch, ParametricRig
+from hydrojax.identify.estimation.misfit import filled
+from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.preparation.noise import CHANNELS
+from hydrojax.identify.results.outcome import Horizon
+from hydrojax.parameters import put
+from hydrojax.plant.replay import friction_memory, pressures, readings
+
+LONGER = (1.0, 5.0)
+"""Seconds of the runs beside those of a single window and of the whole log."""
+
+ORDER = 4
+"""Past samples of each signal that the ARX model takes."""
+
+
+def horizons_of(
+    fitted: Problem,
+    check: Problem,
+    ends: tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]],
+    length: float,
+) -> dict[str, dict[str, Horizon]]:
+    """Errors by channel and length of the run: "0.25", "1", "5" (seconds) and "free".
+
+    Args:
+        fitted: the problem of the fitted logs.
+        check: that of the logs on which errors are counted.
+        ends: all parameters of the declared and of the final model, SI.
+        length: of a window, s.
+
+    Each run starts from the pressures that are estimated from its first window, and
+    goes on through as many windows as fit; "free" through all that adjoin. Lengths for
+    which no log is long enough are left out.
+    """
+    noise = np.asarray(check.batch.noise)
+    starts = _starts(check.batch, length)
+    measured = np.asarray(check.batch.windows.measured)
+    arx = _Arx.fit(fitted.batch, noise)
+    runs = [_runs(check, values, starts) for values in ends]
+    out: dict[str, dict[str, Horizon]] = {
+        CHANNELS[c]: {} for c in range(3) if np.isfinite(noise[c])
+    }
+    for i, (name, (begins, used)) in enumerate(starts.items()):
+        held = measured[begins, 0][:, None, :]
+        linear = arx.simulated(check.batch, begins)
+        left = [r[i] for r in runs]
+        for c, channel in enumerate(CHANNELS):
+            if channel in out:
+                rms = [
+                    _rms(e[used, :, c])
+                    for e in (*left, measured - held, measured - linear)
+                ]
+                out[channel][name] = Horizon(rms[0], rms[1], rms[2] or 0.0, rms[3])
+    return out
+
+
+def _rms(error: np.ndarray) -> float | None:
+    size = np.sqrt(np.mean(error**2)) if error.size else np.nan
+    return float(size) if np.isfinite(size) else None
+
+
+def _starts(
+    batch: Batch, length: float
+) -> dict[str, tuple[Int[np.ndarray, "windows"], Bool[np.ndarray, "windows"]]]:
+    """By name of the run's length: the window in which each window's run begins, and
+    which windows belong to a run of full length.
+    """
+    seg, first = np.asarray(batch.windows.seg), np.asarray(batch.windows.first)
+    index = np.arange(seg.size)
+    joined = (np.diff(seg) == 0) & (np.diff(first) == batch.windows.scored)
+    whole = np.maximum.accumulate(np.where(np.r_[True, ~joined], index, 0))
+    place = index - whole
+    lasts = np.bincount(whole, minlength=seg.size)[whole]
+    out = {f"{length:g}": (index, np.ones(seg.size, bool))}
+    for seconds in LONGER:
+        count = round(seconds / length)
+        begins = whole + place // count * count
+        used = place // count * count + count <= lasts
+        if count > 1 and used.any():
+            out[f"{seconds:g}"] = (begins, used)
+    out["free"] = (whole, np.ones(seg.size, bool))
+    return out
+
+
+def _runs(
+    problem: Problem, values: np.ndarray, starts: dict
+) -> Float[np.ndarray, "lengths windows ticks 3"]:
+    """Measured less replayed, SI, for each length of the runs."""
+    own = problem.residuals_at(values)
+    if not problem.simulate:  # nothing of one window goes on into the next
+        return np.broadcast_to(own, (len(starts), *own.shape))
+    batch = filled(problem.started(values))
+    fresh = np.ones((len(starts), len(batch.P_0)), bool)
+    for row, (begins, _) in zip(fresh, starts.values(), strict=True):
+        row[: begins.size] = begins == np.arange(begins.size)
+    out = _run_on(problem.model, jnp.asarray(values), batch, jnp.asarray(fresh[1:]))
+    out = np.asarray(out)[:, : len(own)]
+    return np.concatenate([own[None], problem.batch.windows.measured - out])
+
+
+@eqx.filter_jit
+def _run_on(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    batch: Batch,
+    fresh: Bool[Array, "lengths windows"],
+) -> Float[Array, "lengths windows ticks 3"]:
+    """What the sensors read where a window begins with its own initial pressures only
+    if it is `fresh`, and else where the one before it ended.
+    """
+    rig, w = put(model.rig, model.names, values), batch.windows
+    past = friction_memory(rig, batch.motion).within(w)
+    following = w.scored
+
+    def one(own: Bool[Array, "windows"]) -> Float[Array, "windows ticks 3"]:
+        def through(P, window):
+            inputs, P_0, begins = window
+            alone = jax.tree.map(lambda a: a[None], inputs)
+            start = jnp.where(begins, P_0, P)
+            P_a1, P_a2 = pressures(rig, alone, start[None])
+            ended = jnp.stack([P_a1[0, following], P_a2[0, following]])
+            return ended, (P_a1[0], P_a2[0])
+
+        P_0 = jnp.asarray(batch.P_0)
+        _, (P_a1, P_a2) = jax.lax.scan(through, P_0[0], (w, P_0, own))
+        return readings(rig, w, P_a1, P_a2, past)
+
+    return jax.vmap(one)(fresh)
+
+
+@dataclass(frozen=True)
+class _Arx:
+    """y(t) = sum of weights times the last `ORDER` samples of y and inputs, and 1; in
+    standardised units.
+    """
+
+    weights: Float[np.ndarray, "features outputs"]
+    mean: Float[np.ndarray, "signals"]
+    size: Float[np.ndarray, "signals"]
+    outputs: Int[np.ndarray, "outputs"]
+
+    @classmethod
+    def fit(cls, batch: Batch, noise: Float[np.ndarray, "3"]) -> _Arx:
+        outputs = np.flatnonzero(np.isfinite(noise))
+        z = _signals(batch, outputs)
+        mean, size = z.mean(axis=(0, 1)), z.std(axis=(0, 1))
+        size = np.where(size > 1e-12 * np.abs(mean), size, np.inf)
+        z = (z - mean) / size
+        T = z.shape[1]
+        past = [z[:, ORDER - 1 - k : T - 1 - k] for k in range(ORDER)]
+        rows = np.concatenate([*past, np.ones_like(past[0][..., :1])], axis=-1)
+        X, y = (
+            a.reshape(-1, a.shape[-1]) for a in (rows, z[:, ORDER:, : outputs.size])
+        )
+        weights = np.linalg.lstsq(X, y, rcond=1e-10)[0]
+        return cls(weights, mean, size, outputs)
+
+    def simulated(
+        self, batch: Batch, begins: Int[np.ndarray, "windows"]
+    ) -> Float[np.ndarray, "windows ticks 3"]:
+        """The channels, SI, each run from its first `ORDER` measured samples."""
+        z = (_signals(batch, self.outputs) - self.mean) / self.size
+        W, T, n = *z.shape[:2], self.outputs.size
+        y = z[..., :n].copy()
+        place = np.arange(W) - begins
+        order = [np.flatnonzero(place == k) for k in range(int(place.max()) + 1)]
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k, now in enumerate(order):
+                # All runs side by side, one window of each after the other.
+                before = y[now - 1, -ORDER:] if k else y[now, :ORDER]
+                inputs = z[now - 1, -ORDER:, n:] if k else z[now, :ORDER, n:]
+                run = np.concatenate([before, y[now]] if k else [y[now]], axis=1)
+                given = [inputs, z[now, :, n:]] if k else [z[now, :, n:]]
+                self._advance(run, np.concatenate(given, axis=1))
+                y[now] = run[:, -T:]
+        out = np.zeros((W, T, 3))
+        out[..., self.outputs] = y * self.size[:n] + self.mean[:n]
+        return out
+
+    def _advance(self, run: np.ndarray, given: np.ndarray) -> None:
+        """Fill `run` [runs, ticks, outputs] from its first `ORDER` ticks on."""
+        one = np.ones((len(run), 1))
+        for t in range(ORDER, run.shape[1]):
+            past = [
+                np.concatenate([run[:, t - 1 - k], given[:, t - 1 - k]], axis=1)
+                for k in range(ORDER)
+            ]
+            run[:, t] = np.concatenate([*past, one], axis=1) @ self.weights
+
+
+def _signals(
+    batch: Batch, outputs: Int[np.ndarray, "outputs"]
+) -> Float[np.ndarray, "windows ticks signals"]:
+    """The compared channels, and then what drives a replay, at the compared ticks."""
+    w = batch.windows
+    lead = w.x.shape[1] - w.scored
+    measured = np.asarray(w.measured)[..., outputs]
+    driving = [np.asarray(a)[:, lead:] for a in (w.u, w.x, w.v, w.P_s)]
+    return np.concatenate([measured, np.stack(driving, axis=-1)], axis=-1)

@@ -1,0 +1,78 @@
+"""The sentence that states a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hydrojax.identify.results.outcome import ChannelErrors, FoundEffect, Unexplained
+from hydrojax.report.text import quantity_text
+
+
+def without_skill(channels: Mapping[str, ChannelErrors], at_noise: float) -> str:
+    """What is said first of channels above their noise that the model predicts no
+    better than the value held from the start of each window; empty without one.
+    """
+    poor = [
+        f"{name} ({quantity_text(c.after, c.unit, figures=3)} RMS) no better than its "
+        f"value held from the start of each window "
+        f"({quantity_text(c.window.held, c.unit, figures=3)})"
+        for name, c in channels.items()
+        if c.after > at_noise * c.noise
+        and c.window is not None
+        and c.window.skill is not None
+        and c.window.skill <= 0.0
+    ]
+    if not poor:
+        return ""
+    return f"The model has no skill: it predicts {' and '.join(poor)}. "
+
+
+def with_ends(said: str, ends: tuple[str, ...]) -> str:
+    """The sentence, and in it what cannot be taken for an estimate."""
+    if not ends:
+        return said
+    stand = (
+        "stands at an end of its range"
+        if len(ends) == 1
+        else ("stand at an end of their ranges")
+    )
+    return f"{said.removesuffix('.')}, but {' and '.join(ends)} {stand}."
+
+
+def sentence(
+    command: str,
+    verdict: str,
+    effects: tuple[FoundEffect, ...],
+    left: tuple[Unexplained, ...],
+    held_out: bool,
+    needed: tuple[str, ...],
+) -> str:
+    """What a run found, in one sentence.
+
+    `left` is what stays above its noise, `needed` the parameters that the fitted logs
+    leave open and the validation logs depend on.
+    """
+    names = " and ".join(e.name for e in effects)
+    where = "validation" if held_out else "fitted"
+    if verdict == "nothing missing":
+        return f"Nothing is missing: every channel of the {where} logs is at its noise."
+    if verdict == "explained":
+        return (
+            f"The model lacked {names}: with it every channel of the {where} logs is "
+            "at its noise."
+        )
+    channels = " and ".join(u.channel for u in left)
+    share = sum(e.share for e in effects)
+    taken = f"takes away {100 * share:.2g} % of the squared error above the noise"
+    start = f"{names} was found and added and {taken}, but " if names else ""
+    rest = "; ".join(u.description for u in left)
+    if needed:
+        return (
+            f"{start}{channels} cannot be judged: the validation logs depend on "
+            f"{' and '.join(needed)}, which the fitted logs leave open. With values "
+            "that suit both, every channel of all logs is at its noise; fit a log that "
+            "moves as the validation logs do."
+        )
+    if command == "identify":
+        return f"The declared model does not explain {channels}: {rest}. Try trace."
+    return f"{start}no known effect explains the residual of {channels}: {rest}."

@@ -1,0 +1,105 @@
+"""Errors of longer runs, beside predictors that know no plant.
+
+Truth comes from the log itself, from closed forms, and from the generator's rig: with
+nothing missing a run through the whole log stays at the noise.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hydrojax.identify import api
+from hydrojax.identify.case import open_case
+from hydrojax.identify.results.horizons import _Arx, _starts
+from hydrojax.identify.results.outcome import Horizon
+from hydrojax.logs.log import Log
+
+
+@pytest.fixture(scope="module")
+def outcome(recorded):
+    folder = recorded(1)
+    logs = [folder / "fit_1.csv", folder / "fit_2.csv"]
+    case = open_case(folder / "rig.toml", logs, [folder / "validate.csv"])
+    return api.identify(case), case, folder / "validate.csv"
+
+
+def test_a_right_model_runs_through_the_whole_log_at_its_noise(outcome):
+    found, _, _ = outcome
+    for name, c in found.channels.items():
+        assert list(c.horizons) == ["0.25", "1", "5", "free"]
+        short = c.horizons["0.25"]
+        assert (short.before, short.after) == pytest.approx((c.before, c.after))
+        for length, h in c.horizons.items():
+            # A run's start is estimated from its first window alone, and its error
+            # dies out in some tenths of a second.
+            assert h.after < 1.5 * c.noise, (name, length)
+            assert h.before > 3 * h.after
+            assert h.skill == pytest.approx(1 - (h.after / h.held) ** 2)
+    assert found.channels["P_a1"].horizons["free"].skill > 0.99
+
+
+def test_the_held_value_is_the_logs_own(outcome):
+    found, case, path = outcome
+    log = Log.load(path)
+    w = case.check.windows
+    first = np.asarray(w.t)[:, w.x.shape[1] - w.scored]
+    for name, length in (("P_a1", "0.25"), ("F", "free")):
+        y = np.asarray(log.signals[name])
+        at = np.searchsorted(log.time - log.time[0], first - 1e-6)
+        begins = at if length == "0.25" else np.full_like(at, at[0])
+        ticks = np.arange(w.scored)
+        error = y[at[:, None] + ticks] - y[begins][:, None]
+        expected = np.sqrt(np.mean(error**2))
+        held = found.channels[name].horizons[length].held
+        assert held == pytest.approx(expected, rel=1e-6)
+
+
+def windows(seg, first, scored=10):
+    measured = np.zeros((len(seg), scored, 3))
+    own = SimpleNamespace(
+        seg=np.array(seg), first=np.array(first), scored=scored, measured=measured
+    )
+    return SimpleNamespace(windows=own, P_0=np.zeros((len(seg), 2)))
+
+
+def test_runs_end_at_gaps_and_where_they_are_full():
+    batch = windows([0, 0, 0, 0, 0, 1, 1], [0, 10, 20, 30, 40, 0, 20])
+    starts = _starts(batch, 0.5)
+    assert list(starts) == ["0.5", "1", "free"]
+    begins, used = starts["1"]
+    assert begins.tolist() == [0, 0, 2, 2, 4, 5, 6]
+    assert used.tolist() == [True, True, True, True, False, False, False]
+    assert starts["free"][0].tolist() == [0, 0, 0, 0, 0, 5, 6]
+
+
+def linear(rng, windows=12, ticks=40):
+    """A linear system of order two with one input, cut into windows that adjoin."""
+    u = rng.normal(size=windows * ticks)
+    y = np.zeros(u.size)
+    for t in range(2, u.size):
+        y[t] = 1.5 * y[t - 1] - 0.7 * y[t - 2] + 0.3 * u[t - 1] + 0.05
+    y, u = (a.reshape(windows, ticks) for a in (1e6 * y, u))
+    none = np.zeros((windows, ticks))
+    own = SimpleNamespace(
+        u=u, x=none, v=none, P_s=none, scored=ticks,
+        measured=np.stack([y, none, none], axis=-1),
+    )  # fmt: skip
+    return SimpleNamespace(windows=own)
+
+
+def test_an_arx_model_of_a_linear_system_is_that_system():
+    rng = np.random.default_rng(0)
+    fitted, other = linear(rng), linear(rng)
+    arx = _Arx.fit(fitted, np.array([1.0, np.inf, np.inf]))
+    y = other.windows.measured[..., 0]
+    for begins in (np.arange(12), np.zeros(12, int), np.arange(12) // 4 * 4):
+        simulated = arx.simulated(other, begins)[..., 0]
+        assert np.max(np.abs(simulated - y)) < 1e-6 * np.std(y)
+
+
+def test_a_run_that_diverges_has_no_skill():
+    assert Horizon(None, None, 1.0, None).skill is None
+    assert Horizon(4.0, 2.0, 2.0, 1.0).skill == 0.0
