@@ -58,6 +58,8 @@ def applicable(case: Case) -> tuple[str, ...]:
             can.add("loadcell")
     if "radius" in case.spec.geometry:
         can.add("psi")
+    if len(set(case.spec.layout.chamber_areas)) > 1:
+        can.add("differential")
     can -= set(case.spec.layout.unmeasured)
     return tuple(n for n, e in EFFECTS.items() if set(e.needs) <= can)
 

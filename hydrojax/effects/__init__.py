@@ -10,10 +10,12 @@ from jaxtyping import Array
 
 from hydrojax.effects import registry
 from hydrojax.effects.fluid import (
+    Counterbalance,
     DeadVolume,
     EntrainedAir,
     ExternalLeakage,
     InternalLeakage,
+    PressureCompensation,
     SupplyLineDrop,
 )
 from hydrojax.effects.friction import (
@@ -31,6 +33,7 @@ from hydrojax.effects.sensors import (
     LoadcellLag,
     PressureSensorBias,
     PressureSensorLag,
+    SignalFilter,
 )
 from hydrojax.effects.structure import (
     Backlash,
@@ -39,6 +42,7 @@ from hydrojax.effects.structure import (
     RodCompliance,
 )
 from hydrojax.effects.valve import (
+    FlowCurve,
     OrificeTransition,
     Underlap,
     ValveBias,
@@ -76,9 +80,12 @@ EFFECTS: dict[str, type[Effect]] = {
         ValveLag,
         ValveBias,
         ValveDeadband,
+        FlowCurve,
         OrificeTransition,
         Underlap,
+        Counterbalance,
         SupplyLineDrop,
+        PressureCompensation,
         InternalLeakage,
         ExternalLeakage,
         DeadVolume,
@@ -99,6 +106,7 @@ EFFECTS: dict[str, type[Effect]] = {
         ChannelSkew,
         PressureSensorLag,
         PressureSensorBias,
+        SignalFilter,
     )
 }
 

@@ -1,4 +1,4 @@
-"""Effects of the fluid: supply line, leakage, volumes and compliance."""
+"""Effects of lines and fluid: supply, compensator, counterbalance, leakage, volumes and compliance."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from hydrojax.parameters import param
 from hydrojax.plant.effect import (
     ComplianceEffect,
     FlowEffect,
+    OrificeEffect,
     SupplyEffect,
     VolumeEffect,
 )
@@ -32,6 +33,66 @@ class SupplyLineDrop(SupplyEffect):
         """Pressure lost when `conductance sqrt(.)` draws on `available`, Pa."""
         load = self.k_s * conductance**2
         return available * load / (1 + load)
+
+
+class PressureCompensation(SupplyEffect):
+    """A compensator ahead of the edges that draw on the supply: proportional valves.
+
+    It takes what exceeds its margin: of a drop `d` over `dP_0` it leaves
+    `d^(1-s) dP_0^s`, an orifice at s = 0 and a flow set by the opening alone at s = 1.
+    Below the margin it stands open.
+    """
+
+    name = "pressure_compensation"
+    needs = ("u", "differential")
+    residual_axis = "P_s"
+    s: Float[Array, ""] = param(
+        "1", 0.0, 0.0, 1.0, "share of the drop", strength=True, size=0.1
+    )
+    dP_0: Float[Array, ""] = param(
+        "Pa", 7e5, 1e5, 3e6, "margin", grid=(4e5, 1e6), prior=5e5
+    )
+
+    def drop(
+        self, conductance: Float[Array, "*batch"], available: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
+        """Pressure taken of `available`, Pa; whatever the `conductance` is."""
+        over = jnp.maximum(available / self.dP_0, 1.0)
+        return available * -jnp.expm1(-self.s * jnp.log(over))
+
+
+class Counterbalance(OrificeEffect):
+    """Over-centre valve in the line of each chamber: throttles what leaves it.
+
+    It opens with the chamber's pressure and, `ratio` times, with the other line's:
+    by `(P_i + ratio P_j - P_set) / dP_full` of its full opening. `s_i` is the share of
+    the outflow that it governs, 1 where chamber i has one. What comes from the supply
+    is free. The line's own volume and the valve's lag are left out.
+    """
+
+    name = "counterbalance"
+    needs = ("u", "differential")
+    residual_axis = "P_a1 + P_a2"
+    s_1: Float[Array, ""] = param(
+        "1", 0.0, 0.0, 1.0, "share, chamber 1", strength=True, size=0.1
+    )
+    s_2: Float[Array, ""] = param(
+        "1", 0.0, 0.0, 1.0, "share, chamber 2", strength=True, size=0.1
+    )
+    P_set: Float[Array, ""] = param(
+        "Pa", 1.5e7, 2e6, 4e7, "setting", grid=(8e6, 1.5e7, 2.5e7)
+    )
+    ratio: Float[Array, ""] = param("1", 3.0, 0.5, 12.0, "pilot ratio", prior=2.0)
+    dP_full: Float[Array, ""] = param(
+        "Pa", 1.5e7, 5e5, 6e7, "pressure from shut to open", prior=1e7
+    )
+
+    def outlet(self, at):
+        def passes(s, own, pilot):
+            over = (own + self.ratio * pilot - self.P_set) / self.dP_full
+            return 1 - s * (1 - jnp.clip(over, 0.0, 1.0))
+
+        return passes(self.s_1, at.P_a1, at.P_a2), passes(self.s_2, at.P_a2, at.P_a1)
 
 
 class InternalLeakage(FlowEffect):

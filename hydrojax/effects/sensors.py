@@ -93,6 +93,54 @@ class PressureSensorLag(_Lag):
         return self.tau_P
 
 
+class SignalFilter(SensorChannel):
+    """Second-order low-pass of both logged pressures: the logger's, not the rig's.
+
+    Exact for a signal that is linear over each tick. Stored as `tau = 1/omega` so that
+    absent is 0. `zeta` is taken up to 1, as of `valve_lag`.
+    """
+
+    name = "signal_filter"
+    place = "sensor_P"
+    needs = ("u", "P_a1", "P_a2", "differential")
+    residual_axis = "P_rate"
+    tau: Float[Array, ""] = param(
+        "s",
+        0.0,
+        0.0,
+        0.5,
+        "filter's natural frequency",
+        strength=True,
+        size=5e-3,
+        minimum=8e-3,
+        grid=(0.02, 0.1),
+        outside=("omega", "rad/s"),
+    )
+    zeta: Float[Array, ""] = param(
+        "1", 0.7, 0.3, 0.99, "filter's damping ratio", prior=0.2
+    )
+
+    def init(self, y, slope):
+        late = y - 2 * self.zeta * self.tau * slope
+        return (y, late, slope * self.tau), late, slope
+
+    def step(self, memory, y, h):
+        before, out, rate = memory  # the reading, and its rate times tau
+        slope = (y - before) / h
+        behind = 2 * self.zeta * self.tau * slope
+        off, moving = out - before + behind, rate - self.tau * slope
+        absent = self.tau <= 0
+        s = h / jnp.where(absent, 1.0, self.tau)
+        zeta = jnp.clip(self.zeta, 0.0, 0.999)
+        w = jnp.sqrt(1 - zeta**2)
+        fade = jnp.where(absent, 0.0, jnp.exp(-zeta * s))
+        cos, sin = fade * jnp.cos(w * s), fade * jnp.sin(w * s) / w
+        new = (cos + zeta * sin) * off + sin * moving
+        moving = -sin * off + (cos - zeta * sin) * moving
+        out = y - behind + new
+        return (y, out, moving + self.tau * slope), out
+
+
 class _Offset(SensorChannel):
     """A reading that is off by a constant."""
 

@@ -218,6 +218,33 @@ class ValveDeadband(CommandChannel):
         return memory, up + jnp.where(u < -self.u_dbn, u + self.u_dbn, 0.0)
 
 
+class FlowCurve(CommandChannel):
+    """Opening that is a curve of the command, as its notches are cut (V9).
+
+    Of the share `s` of full command it opens `(1 - k) s + k s^p`: all at full command,
+    and near zero little. `u_full` is full command.
+    """
+
+    name = "flow_curve"
+    needs = ("u", "differential")
+    residual_axis = "abs(u)"
+    u_full: Float[Array, ""] = eqx.field(
+        default=1.0, converter=lambda x: jnp.asarray(x, float)
+    )
+    k: Float[Array, ""] = param(
+        "1", 0.0, -1.0, 1.0, "share of the curve", strength=True, size=0.1
+    )
+    p: Float[Array, ""] = param(
+        "1", 2.5, 1.2, 5.0, "exponent of the curve", grid=(1.6, 3.0), prior=1.0
+    )
+
+    def step(self, memory, u, h):
+        share = jnp.where(u < 0, -u, u) / self.u_full
+        shut = share == 0
+        curve = jnp.where(shut, 0.0, jnp.where(shut, 1.0, share) ** (self.p - 1))
+        return memory, u * (1 + self.k * (curve - 1))
+
+
 class OrificeTransition(OrificeEffect):
     """Laminar flow below a pressure drop `dP_t` (V10).
 

@@ -23,6 +23,10 @@ SHORTEST = 2e-3
 the stroke would turn it negative."""
 
 
+STOP_STIFFNESS = 1e8
+"""Of the stroke's ends, N/m: 0.2 mm under 20 kN."""
+
+
 def filled(P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """The pressure of a chamber that may lack volume, Pa; see `pressure_step`."""
     return jnp.maximum(P, P_VAPOUR)
@@ -65,6 +69,18 @@ class Chambers(eqx.Module):
         """Lengths of chambers 1 and 2 at piston position `x`, m; (10)(11)."""
         half = self.length / 2
         return half + self.delta_1 - x, half + self.delta_2 + x
+
+    def end_stop(self, x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """Force of the stroke's ends on a piston at `x`, N.
+
+        It begins half a length from the middle, or where a chamber is all but gone.
+        """
+        least = 2 * SHORTEST * self.length
+        short = (jnp.minimum(d - least, 0.0) for d in (self.delta_1, self.delta_2))
+        ahead, behind = (self.length / 2 + s for s in short)
+        return STOP_STIFFNESS * (
+            jnp.maximum(-x - behind, 0.0) - jnp.maximum(x - ahead, 0.0)
+        )
 
     def rates(
         self,

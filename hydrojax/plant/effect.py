@@ -21,8 +21,9 @@ class Effect(eqx.Module):
     """What the paper's model lacks: absent, and alive, when its strengths are zero.
 
     `name` is what files and reports call it; `place` is where in a rig it acts;
-    `needs` what a log must have for it to show (signals, or "loadcell" for a logged
-    F); `residual_axis` the signal against which its residual stands out.
+    `needs` what a log must have for it to show (signals, "loadcell" for a logged F, or
+    "differential" for a cylinder of two areas, as machines have);
+    `residual_axis` the signal against which its residual stands out.
     """
 
     name: ClassVar[str]
@@ -75,7 +76,8 @@ class OrificeEffect(Effect):
     """Changes the valve's four edges: how far they open, how laminar they are.
 
     `opening(spool) -> (open_p, open_n)` is added to the openings toward either side,
-    `core() -> Pa^2` to the square of the laminar core.
+    `core() -> Pa^2` to the square of the laminar core; `outlet(at)` multiplies what the
+    edges to the return let out of chambers 1 and 2.
     """
 
     place = "orifice"
@@ -90,6 +92,12 @@ class OrificeEffect(Effect):
     def core(self) -> Float[Array, "*batch"] | float:
         """What is added to the square of the laminar core, Pa^2."""
         return 0.0
+
+    def outlet(
+        self, at: Point
+    ) -> tuple[Float[Array, "*batch"] | float, Float[Array, "*batch"] | float]:
+        """Shares of the outflow that are let out of chambers 1 and 2."""
+        return 1.0, 1.0
 
 
 class SupplyEffect(Effect):

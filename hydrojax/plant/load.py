@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -84,6 +84,9 @@ def environment_of(part: StepInput) -> EnvironmentMotion:
 
 class AbstractLoad(eqx.Module):
     """What is behind the load cell, and how it moves the piston."""
+
+    meets_stops: ClassVar[bool] = False
+    """Whether the force moves the piston, so that the stroke's ends must hold it."""
 
     @abstractmethod
     def parts(self, inputs: StepInput) -> tuple[StepInput, ...]:
@@ -192,6 +195,8 @@ class Inertia(_Moving):
     `mass a = F - damping (v - v_e) - stiffness (x - x_e)`, by the leapfrog rule: of
     second order, stable up to 2/h rad/s, and without damping of its own.
     """
+
+    meets_stops = True
 
     mass: Float[Array, ""] = param("kg", 150.0, 1e-3, 1e6, "load's mass")
     stiffness: Float[Array, ""] = param(

@@ -102,7 +102,10 @@ def step(
         state = act(rig, state, opening, moved)
 
         def force(v: Array, a: Array, state=state, moved=moved) -> Array:
-            return rig.output_force(rig.sliding(state, moved._replace(v=v, a=a)))
+            F = rig.output_force(rig.sliding(state, moved._replace(v=v, a=a)))
+            if load.meets_stops and moved.P is None:
+                F = F + rig.chambers.end_stop(moved.x[..., -1])
+            return F
 
         motion, F = load.advance(
             state.motion, moved.x, environment_of(part), part.h, force

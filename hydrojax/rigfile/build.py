@@ -52,6 +52,7 @@ def effects_of(names: Iterable[str], file: RigFile) -> dict[str, Effect]:
     x_from, x_to = file.stroke
     radius = file.geometry.get("radius", 1.0)
     known = {"x_from": x_from, "x_to": x_to, "radius": radius}
+    known["u_full"] = 10.0 if file.command_unit == "V" else 1.0
     out = {}
     for name, effect in EFFECTS.items():
         if name in wanted:

@@ -779,7 +779,7 @@ def test_gradients_are_central_differences(slopes, name):
     """With noise and the encoder's steps: neither depends on what is turned here."""
     backward, central = slopes[0][name]
     assert abs(backward) > 1.0  # N^2 for a change by its own size
-    assert central == pytest.approx(backward, rel=1e-5)
+    assert central == pytest.approx(backward, rel=3e-5)
 
 
 def test_forward_and_backward_agree(slopes):

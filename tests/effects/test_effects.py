@@ -100,7 +100,12 @@ class Replay:
 ONE_SENSOR = {"pressure_sensor_bias.b_1": (0,), "pressure_sensor_bias.b_2": (1,)}
 """Strengths that stand on one sensor only."""
 
-ONE_CHAMBER = {"dead_volume.V_01": (0, 2), "dead_volume.V_02": (1, 2)}
+ONE_CHAMBER = {
+    "dead_volume.V_01": (0, 2),
+    "dead_volume.V_02": (1, 2),
+    "counterbalance.s_1": (0, 2),
+    "counterbalance.s_2": (1, 2),
+}
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from hydrojax.parameters import put
 from hydrojax.plant.chambers import P_VAPOUR
 from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.layout import LAYOUTS
+from hydrojax.plant.load import Inertia
 from hydrojax.plant.rig import bare_rig
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import start, step
@@ -175,3 +176,28 @@ def test_the_step_has_its_derivative_where_it_is_stiff(cylinder, u):
         d = 1e-5 * at[i] * np.eye(at.size)[i]
         want = np.asarray(end(at + d) - end(at - d)) / (2 * d[i])
         assert np.allclose(got[:, i] * at[i], want * at[i], rtol=1e-4, atol=1.0)
+
+
+def test_a_moving_load_is_held_at_the_end_of_its_stroke(cylinder):
+    """Driven at full command it rests on the stop: nothing of the drive comes out."""
+    load = Inertia(mass=150.0, stiffness=0.0, damping=4e3)
+    zero, parts, h = jnp.zeros(()), 4, 1e-3
+    inputs = StepInput(
+        h=zero + h, u=zero - 10.0, P_s=jnp.full(2, 14e6), P_r=jnp.full(2, 0.25e6),
+        x=jnp.full((parts, 3), 0.09), dx=None, v=jnp.zeros(parts), a=jnp.zeros(parts),
+        t=zero,
+    )  # fmt: skip
+    state, _ = start(cylinder, inputs, (zero + 7e6, zero + 7e6), load)
+
+    @jax.jit
+    def one(state, _):
+        state, read = step(cylinder, state, inputs, load)
+        return state, (state.motion.x, state.P, read["true_F"])
+
+    _, (x, P, F) = jax.lax.scan(one, state, None, length=1500)
+    drive = A * (P[1][-1] - P[0][-1])
+    assert drive > 0.9 * A * 13.5e6
+    # Contact begins where the shorter chamber is all but gone, and gives by 1e-8 m/N.
+    rest = LENGTH / 2 * (1 - 8e-3) + drive / 1e8
+    assert float(x[-1] - rest) == pytest.approx(0.0, abs=1e-5)
+    assert abs(F[-1]) < 0.01 * drive and np.max(x) < LENGTH / 2
