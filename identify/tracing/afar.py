@@ -97,7 +97,8 @@ def _accounted(state: Tracing, scores: Mapping[str, Score], noise: np.ndarray) -
     """Whether nothing is left, or would be by the score of one candidate at zero."""
     seen, weights = np.isfinite(noise), state.point.weights
     rms = state.problem.rms(state.problem.errors_at(state.point.values))
-    if not np.any((rms > (1 + state.criteria.matters) * noise)[seen]):
+    # What is far from zero shows: half way to what counts as above the noise.
+    if not np.any((rms > (1 + state.criteria.at_noise) / 2 * noise)[seen]):
         return True
     windows, ticks, _ = state.problem.batch.windows.measured.shape
     floor = windows * ticks * float(np.sum((noise[seen] / weights[seen]) ** 2))

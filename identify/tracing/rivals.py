@@ -56,8 +56,8 @@ def _exchanged(
     effects: Mapping[str, Effect],
     noise: Float[np.ndarray, "3"],
 ) -> Tracing:
-    """The state, or with the best of an effect's rivals in its place if that has the
-    smaller validation error, beyond chance. `less` is the state without the effect.
+    """The state, or with a rival in an effect's place: the one of the largest gain
+    that has a smaller validation error beyond chance. `less` lacks the effect.
     """
     criteria = state.criteria
     known = {a.name for a in state.added}
@@ -92,7 +92,7 @@ def _exchanged(
             added=added,
             tried={**state.tried, name: "exchanged", s.name: "helps"},
         )
-        own, name = after, s.name
+        break
     return state
 
 
