@@ -27,9 +27,10 @@ OWN, SINGLE, DEFAULT = "hydrojax", "hydrojax f32", "hydrojax, default flags"
 SCALAR, LANES = "C", "C lanes"
 WITHIN = {
     SINGLE: 1e-2, DEFAULT: 1e-9, "C f32": 1e-2, "C lanes f32": 1e-2,
-    SCALAR: 1e-9, LANES: 1e-9, "numba": 1e-9, "diffrax": 1e-3,
+    SCALAR: 1e-5, LANES: 1e-5, "numba": 1e-5, "diffrax": 1e-3,
 }  # fmt: skip
-"""How far a program's RMS errors of force may be from hydrojax's, relative."""
+"""How far a program's RMS errors of force may be from hydrojax's, relative. C and numba
+step the pressures by the explicit midpoint rule, hydrojax by the exponential one."""
 
 
 def on(threads: int) -> str:

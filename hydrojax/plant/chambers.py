@@ -27,7 +27,7 @@ STOP_STIFFNESS = 1e8
 """Of the stroke's ends, N/m: 0.2 mm under 20 kN."""
 
 
-def filled(P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def refilled(P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """The pressure of a chamber that may lack volume, Pa; see `pressure_step`."""
     return jnp.maximum(P, P_VAPOUR)
 

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import filled
+from hydrojax.plant.chambers import refilled
 from hydrojax.plant.effect import CommandDelay
 from hydrojax.plant.friction import Sliding, run_linear
 from hydrojax.plant.hydraulics import pressure_step
@@ -210,7 +210,7 @@ def pressures(
         goal, inputs = at
         memory, opening = _through(rig, memory, goal, inputs.h)
         P = pressure_step(rig, P, opening, inputs)
-        return (memory, P), (filled(P[0]), filled(P[1]))
+        return (memory, P), (refilled(P[0]), refilled(P[1]))
 
     memory = rig.command_init(ahead[0][0][..., 0])
     memory, _ = jax.lax.scan(warm, memory, ahead)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import Chambers, Point, filled
+from hydrojax.plant.chambers import Chambers, Point, refilled
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import Layout
@@ -116,7 +116,7 @@ class Rig(eqx.Module):
 
         Below `P_VAPOUR` they are those of the volume that a chamber lacks.
         """
-        full = at._replace(P_a1=filled(at.P_a1), P_a2=filled(at.P_a2))
+        full = at._replace(P_a1=refilled(at.P_a1), P_a2=refilled(at.P_a2))
         q_1, q_2 = self.valve.flows(full, self.supply, self.orifice)
         for effect in self.flow:
             e_1, e_2 = effect.flow(full)

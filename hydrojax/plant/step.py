@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.plant.chambers import Point, filled
+from hydrojax.plant.chambers import Point, refilled
 from hydrojax.plant.friction import Sliding
 from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.load import AbstractLoad, Prescribed, environment_of
@@ -147,7 +147,7 @@ def _with_pressures(state: State, P: tuple[Array, Array], inputs: StepInput) -> 
     """The state with pressures from `_pressures`, and what they lack aside."""
     if inputs.P is not None:
         return state._replace(P=P)
-    full = (filled(P[0]), filled(P[1]))
+    full = (refilled(P[0]), refilled(P[1]))
     return state._replace(P=full, lacking=(P[0] - full[0], P[1] - full[1]))
 
 

@@ -220,12 +220,9 @@ def read_rig(
         for name, table in file.effects.items()
     }
     command = unit_of_command([*base, *(g for gs in added.values() for g in gs)])
-    noise_units = {
-        name: units.with_command(unit, command)
-        for name, unit in SIGNALS.items()
-        if name != "time"
-    }
-    geometry, known = _with_tolerances(f"{path}: [geometry]", file.geometry, GEOMETRY)
+    known = {name: unit for name, unit in SIGNALS.items() if name != "time"}
+    noise_units = {n: units.with_command(u, command) for n, u in known.items()}
+    geometry, own = _with_tolerances(f"{path}: [geometry]", file.geometry, GEOMETRY)
     supply, also = _with_tolerances(f"{path}: [supply]", file.supply, SUPPLY_UNITS)
     spec = RigFile(
         name=file.name or Path(path).stem,
@@ -242,7 +239,7 @@ def read_rig(
         controller=file.controller,
         command_unit=command,
         path=path,
-        tolerances=known | also,
+        tolerances=own | also,
         text=text,
     )
     _check(spec)

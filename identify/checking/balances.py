@@ -7,7 +7,7 @@ Over a window with a smooth weight w, chamber i keeps what flows into it,
 and the output force is what the pressures push less the friction (22). Both are linear
 in the constants that a rig file leaves open (1/beta, the valve's four, friction's
 seven), so that a fit is one small least-squares problem (the weak form; M. Shinbrot,
-Transactions of the ASME 79, 1957). Ticks are even: `Stretch` says so.
+Transactions of the ASME 79, 1957). Ticks are even: `EvenTicks` says so.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SETTLE = 1.0
 
 
 @dataclass(frozen=True)
-class Stretch:
+class EvenTicks:
     """Signals of one stretch without gaps at even ticks, SI.
 
     `x` is the position from mid-stroke, `P` the two chamber pressures; NaN where a
@@ -96,7 +96,7 @@ class _Ticks:
     area: np.ndarray
 
     @classmethod
-    def of(cls, s: Stretch, g: Geometry) -> _Ticks:
+    def of(cls, s: EvenTicks, g: Geometry) -> _Ticks:
         def middle(y):
             return (y[1:] + y[:-1]) / 2
 
@@ -117,7 +117,7 @@ class _Ticks:
         return Table(rows[0], dict(zip(each, rows[1:], strict=True)))
 
 
-def flow_table(s: Stretch, g: Geometry, ticks: int) -> Table:
+def flow_table(s: EvenTicks, g: Geometry, ticks: int) -> Table:
     """What the motion displaces in each chamber, m^3, and what makes it up.
 
     Coefficients: the valve's constants, 1/beta under `beta`, and delta/beta under
@@ -146,7 +146,7 @@ FLOW_RIVALS: Mapping[str, tuple[str, ...]] = {
 """Columns that stand for what effects of the hydraulics do, to first order."""
 
 
-def flow_rivals(s: Stretch, g: Geometry, ticks: int) -> Table:
+def flow_rivals(s: EvenTicks, g: Geometry, ticks: int) -> Table:
     """The columns of `FLOW_RIVALS` on the rows of `flow_table`."""
     t = _Ticks.of(s, g)
     supply, drain = t.opens * t.fill * t.h, -t.shuts * t.drain * t.h
@@ -190,20 +190,20 @@ def _switch(dx: np.ndarray, h: float, shape: Shape) -> np.ndarray:
     return 1 / (1 + (shape.L_slope * slow) ** 3)
 
 
-def _friction(s: Stretch, shape: Shape) -> tuple[np.ndarray, ...]:
+def _friction(s: EvenTicks, shape: Shape) -> tuple[np.ndarray, ...]:
     """Speed, bristle over z_ss, and the share that slides; [ticks]."""
     dx = np.diff(s.x)
     v = np.gradient(s.x, s.h)
     return v, _bristle(dx, shape.z_ss), 1 - _switch(dx, s.h, shape)
 
 
-def _force_rows(s: Stretch, y: np.ndarray, each: Mapping, ticks: int) -> Table:
+def _force_rows(s: EvenTicks, y: np.ndarray, each: Mapping, ticks: int) -> Table:
     sums = window_sums(np.stack([y, *each.values()], axis=1), ticks)
     late = sums[int(SETTLE / s.h / max(ticks // 2, 1)) :]
     return Table(late[:, 0], dict(zip(each, late[:, 1:].T, strict=True)))
 
 
-def force_table(s: Stretch, g: Geometry, shape: Shape, ticks: int) -> Table:
+def force_table(s: EvenTicks, g: Geometry, shape: Shape, ticks: int) -> Table:
     """The output force, N, and what makes it up: `push_1`, `push_2` (at 1 each) and
     friction's constants, with the measured force in presliding.
     """
@@ -238,7 +238,7 @@ FORCE_RIVALS: Mapping[str, tuple[str, ...]] = {
 """Columns that stand for what effects on the force do, to first order."""
 
 
-def force_rivals(s: Stretch, g: Geometry, shape: Shape, ticks: int) -> Table:
+def force_rivals(s: EvenTicks, g: Geometry, shape: Shape, ticks: int) -> Table:
     """The columns of `FORCE_RIVALS` on the rows of `force_table`."""
     v, turn, slide = _friction(s, shape)
     push = s.P @ np.array([-g.force[0], g.force[1]])

@@ -39,7 +39,7 @@ class Checked:
         rig: its name.
         found: what looks wrong, the worst first.
         logs: one row a log; see `log_table`.
-        channels: one row a channel, SI; see `Channel`.
+        channels: one row a channel, SI; see `Readings`.
         inputs: one row an input: `verdict`, "plausible", "not checked" or what looks
             wrong, and `why`.
         read: the logs themselves.

@@ -16,9 +16,9 @@ from hydrojax.identify.checking.balances import (
     FRICTION,
     OFFSETS,
     SETTLE,
+    EvenTicks,
     Geometry,
     Shape,
-    Stretch,
     flow_rivals,
     flow_table,
     force_rivals,
@@ -59,7 +59,7 @@ class Inputs:
         x_mid: the position that the sensor reads at mid-stroke, m.
     """
 
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[EvenTicks, ...]
     geometry: Geometry
     shape: Shape
     logged: frozenset[str]
@@ -164,12 +164,12 @@ class Inputs:
         return replace(self, stretches=tuple(_part(s, share) for s in self.stretches))
 
 
-def _part(s: Stretch, ticks: int) -> Stretch:
+def _part(s: EvenTicks, ticks: int) -> EvenTicks:
     own = {n: getattr(s, n)[:ticks] for n in ("u", "x", "P", "P_s", "P_r", "F")}
     return replace(s, **own)
 
 
-def _scaled(s: Stretch, name: str, factor: float, x_mid: float) -> Stretch:
+def _scaled(s: EvenTicks, name: str, factor: float, x_mid: float) -> EvenTicks:
     if name in ("x", "psi", "radius"):
         # A sensor that runs the other way is read from the same mid-stroke.
         mid = 0.0 if factor < 0 else x_mid
@@ -224,7 +224,7 @@ def inputs_of(spec: RigFile, logs: Sequence[Log]) -> Inputs:
     )
 
 
-def _stretch(log: Log, rows: slice, spec: RigFile, most: int) -> Stretch:
+def _stretch(log: Log, rows: slice, spec: RigFile, most: int) -> EvenTicks:
     """A stretch's signals at even ticks; of a long one the part that moves most."""
     t, x = log.time[rows], position(log, spec)[rows]
     if len(t) > most:
@@ -249,7 +249,7 @@ def _stretch(log: Log, rows: slice, spec: RigFile, most: int) -> Stretch:
     P = np.stack([signal("P_a1", 0.0), signal("P_a2", 0.0)], axis=1)
     if "P" in log.signals and not {"P_a1", "P_a2"} & set(log.signals):
         P = np.stack([np.zeros(len(even)), signal("P")], axis=1)
-    return Stretch(
+    return EvenTicks(
         h, signal("u"), at(x), P, signal("P_s", spec.line["P_s"]),
         signal("P_r", spec.line["P_r"]), signal("F"),
     )  # fmt: skip

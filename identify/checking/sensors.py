@@ -34,7 +34,7 @@ SENSORS = ("P_a1", "P_a2", "P_s", "P_r", "P", "F")
 
 
 @dataclass(frozen=True)
-class Channel:
+class Readings:
     """One channel over all logs; SI.
 
     Attributes:
@@ -85,16 +85,16 @@ def log_table(logs: Sequence[Log], spec: RigFile) -> pd.DataFrame:
 
 
 def channel_table(logs: Sequence[Log]) -> pd.DataFrame:
-    """One row a channel; the columns are the attributes of `Channel`."""
+    """One row a channel; the columns are the attributes of `Readings`."""
     names = [n for n in logs[0].signals if all(n in log.signals for log in logs)]
     rows = {n: vars(_channel(n, logs)) for n in names}
-    order = [f.name for f in fields(Channel)]
+    order = [f.name for f in fields(Readings)]
     return pd.DataFrame.from_dict(rows, orient="index", columns=order).rename_axis(
         "channel"
     )
 
 
-def _channel(name: str, logs: Sequence[Log]) -> Channel:
+def _channel(name: str, logs: Sequence[Log]) -> Readings:
     pieces = [
         (float(np.median(np.diff(log.time))), log.signals[name][slice(*rows)])
         for log in logs
@@ -110,7 +110,7 @@ def _channel(name: str, logs: Sequence[Log]) -> Channel:
     ends = np.concatenate([(y == y.min()) | (y == y.max()) for _, y in pieces])
     loud = [estimate_noise(y) for _, y in pieces if np.ptp(y) > 0 and len(y) > 7]
     pressure = name.startswith("P_")
-    return Channel(
+    return Readings(
         logs[0].units.get(name, ""),
         low,
         high,

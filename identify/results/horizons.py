@@ -68,7 +68,8 @@ def horizons_of(
 
 
 def _rms(error: np.ndarray) -> float | None:
-    size = np.sqrt(np.mean(error**2)) if error.size else np.nan
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.sqrt(np.mean(error**2)) if error.size else np.nan
     return float(size) if np.isfinite(size) else None
 
 

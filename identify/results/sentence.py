@@ -39,7 +39,7 @@ def with_ends(said: str, ends: tuple[str, ...]) -> str:
     return f"{said.removesuffix('.')}, but {' and '.join(ends)} {stand}."
 
 
-def sentence(
+def verdict_sentence(
     command: str,
     verdict: str,
     effects: tuple[FoundEffect, ...],

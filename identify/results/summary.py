@@ -30,7 +30,11 @@ from hydrojax.identify.results.parts import (
     series_of,
     signals_of,
 )
-from hydrojax.identify.results.sentence import sentence, with_ends, without_skill
+from hydrojax.identify.results.sentence import (
+    verdict_sentence,
+    with_ends,
+    without_skill,
+)
 from hydrojax.identify.results.unexplained import extrapolation, unexplained
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
@@ -73,7 +77,7 @@ def summarise(
         verdict=verdict,
         sentence=without_skill(channels, state.criteria.at_noise)
         + with_ends(
-            sentence(command, verdict, effects, left, case.held_out, needed),
+            verdict_sentence(command, verdict, effects, left, case.held_out, needed),
             _at_ends(state, uncertainty),
         ),
         parameters=parameters_of(case, state, uncertainty),

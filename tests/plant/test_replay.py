@@ -74,7 +74,7 @@ def by_steps(rig, log):
         P=(P_0[:, 0], P_0[:, 1]),
         z=past.z[w.seg, w.first],
         speed=past.speed[w.seg, w.first],
-        sensor_P=tuple(sensors(rig.sensor_P, true[..., i]) for i in range(2)),
+        sensor_P=tuple(sensors(rig.gauge(i), true[..., i]) for i in range(2)),
         sensor_F=sensors(rig.sensor_F, true[..., 2]),
         lacking=(0 * P_0[:, 0], 0 * P_0[:, 1]),
     )

@@ -324,14 +324,14 @@ def test_killed_at_any_moment_it_goes_on_and_gives_the_same_bytes(tmp_path):
 
 
 def test_ctrl_c_keeps_what_is_done_and_leaves_no_worker(tmp_path):
-    table, out = fleet(tmp_path, good(40, seconds=0.5)), tmp_path / "out"
+    table, out = fleet(tmp_path, good(120, seconds=0.5)), tmp_path / "out"
     going = process(table, out)
     wait_for(out, 4)
     workers = psutil.Process(going.pid).children()
     os.killpg(going.pid, signal.SIGINT)
     said = going.communicate(timeout=60)[0]
     done = int(said.split()[0])
-    assert said.endswith("of 40 are done and kept\n") and 2 <= done < 40
+    assert said.endswith("of 120 are done and kept\n") and 2 <= done < 120
     assert len(list(out.glob("jobs/[!.]*/*.json"))) >= done
     gone, alive = psutil.wait_procs(workers, timeout=5)
     assert gone and not alive

@@ -13,7 +13,8 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hydrojax.errors import InputError
-from hydrojax.workflows.fleet.local import TRIES, cores, environment
+from hydrojax.jax_setup import cores
+from hydrojax.workflows.fleet.local import TRIES, environment
 
 if TYPE_CHECKING:
     from distributed import Client

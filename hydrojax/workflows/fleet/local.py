@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
+from hydrojax.jax_setup import cores
 from hydrojax.workflows.fleet.work import Done, Task, lost
 
 MEMORY = 3 * 2**30
@@ -25,14 +26,6 @@ TRIES = 3
 
 Progress = Callable[[Done], None]
 """Called with every task that is done."""
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on every system
-        return os.cpu_count() or 1
 
 
 def share_out(

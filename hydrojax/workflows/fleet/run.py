@@ -10,6 +10,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 
 from hydrojax.errors import InputError
+from hydrojax.jax_setup import cores
 from hydrojax.workflows.fleet import cluster as clusters
 from hydrojax.workflows.fleet import local
 from hydrojax.workflows.fleet.jobs import Jobs, read_jobs
@@ -158,7 +159,7 @@ def _work(
             with clusters.client(cluster) as found:
                 clusters.share_out(tasks, perform, found, count_one, lost)
         else:
-            count = min(workers or local.cores(), left)
+            count = min(workers or cores(), left)
             local.share_out(tasks, count, out / "workers.log", count_one)
     except KeyboardInterrupt:
         raise Stopped(total - left + done, total) from None
