@@ -187,8 +187,8 @@ class _Arx:
                 given = [inputs, z[now, :, n:]] if k else [z[now, :, n:]]
                 self._advance(run, np.concatenate(given, axis=1))
                 y[now] = run[:, -T:]
-        out = np.zeros((W, T, 3))
-        out[..., self.outputs] = y * self.size[:n] + self.mean[:n]
+            out = np.zeros((W, T, 3))
+            out[..., self.outputs] = y * self.size[:n] + self.mean[:n]
         return out
 
     def _advance(self, run: np.ndarray, given: np.ndarray) -> None:

@@ -419,7 +419,15 @@ def test_identify_writes_the_contracts_report(call, tutorial, monkeypatch):
     }
     assert set(report["channels"]) == {"P_a1", "P_a2", "F"}
     for channel in report["channels"].values():
-        assert set(channel) == {"unit", "noise", "before", "after"}
+        assert set(channel) == {
+            "unit",
+            "noise",
+            "before",
+            "after",
+            "held",
+            "skill",
+            "horizons",
+        }
         assert channel["after"] < channel["before"]
     assert report["channels"]["P_a1"]["noise"] == 9000.0
     assert report["channels"]["F"]["noise"] == 2.5
