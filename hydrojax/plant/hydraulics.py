@@ -28,7 +28,7 @@ def pressure_step(
 
     A chamber that is drawn empty holds `P_VAPOUR`, and is filled up before its
     pressure rises again: what is carried from step to step goes below `P_VAPOUR`
-    by what it lacks, and `filled` is the pressure.
+    by what it lacks, and `refilled` is the pressure.
 
     Source: M. Hochbruck, A. Ostermann, Exponential integrators, Acta Numerica 19
     (2010), sections 2.3 and 2.4.
