@@ -16,6 +16,9 @@ from hydrojax.errors import InputError
 from hydrojax.parameters import parameter_specs, put
 from hydrojax.rigfile.quantities import Setting
 
+UNVALIDATED = 0.05
+"""Relative model error of a report that does not say what its validation left."""
+
 
 @dataclass(frozen=True)
 class Findings:
@@ -27,12 +30,17 @@ class Findings:
         parameters: value and standard deviation (None where it was not fitted) by
             name; those of effects as `valve_lag.tau`; SI as stored.
         covariance: names, and the covariance of what was fitted, if the report has it.
+        absent: effects that the logs would have shown, and did not.
+        residual: of the validation, relative to how far a channel moves within a
+            window, the largest of all channels.
     """
 
     source: Path
     effects: tuple[str, ...]
     parameters: Mapping[str, Mapping[str, Any]]
     covariance: tuple[tuple[str, ...], Float[np.ndarray, "n n"]] | None = None
+    absent: tuple[str, ...] = ()
+    residual: float = UNVALIDATED
 
     @classmethod
     def load(cls, folder: str | Path) -> Findings:
@@ -58,7 +66,13 @@ class Findings:
         covariance = (
             (tuple(full["names"]), np.array(full["matrix"], float)) if full else None
         )
-        return cls(Path(folder), names, found, covariance)
+        absent = tuple(
+            c["name"] for c in report.get("candidates", ()) if c["status"] == "absent"
+        )
+        return cls(
+            Path(folder), names, found, covariance, absent,
+            _residual(report.get("channels", {})),
+        )  # fmt: skip
 
     @property
     def fitted(self) -> bool:
@@ -78,3 +92,14 @@ class Findings:
         values = np.array([self.parameters[n]["value"] for n in names])
         rig = put(setting.loop.rig, names, values)
         return eqx.tree_at(lambda s: s.loop.rig, setting, rig)
+
+
+def _residual(channels: Mapping[str, Mapping[str, Any]]) -> float:
+    """The largest relative error that validation left; at most all of a signal."""
+    shares = []
+    for channel in channels.values():
+        left = (channel.get("validate") or channel).get("after")
+        held = (channel.get("validate") or channel).get("held") or channel.get("held")
+        if left is not None and held:
+            shares.append(min(left / held, 1.0))
+    return max(shares, default=UNVALIDATED)
