@@ -8,7 +8,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from hydrojax import __version__
-from hydrojax.cli import batch, export, identify, loop, tune
+from hydrojax.cli import batch, export, identify, init, loop, tune
 from hydrojax.cli.options import app, console, errors
 from hydrojax.errors import InputError
 
@@ -36,7 +36,7 @@ def options(
 
 SEVERAL = (
     "--validate", "--test", "--gains", "--separate", "--over", "--by", "--at", "--free",
-    "--to",
+    "--to", "--column",
 )  # fmt: skip
 """Options that take all words that follow."""
 
@@ -75,4 +75,14 @@ def main() -> None:
         _refuse(error)
 
 
-__all__ = ["app", "batch", "export", "identify", "loop", "main", "spread", "tune"]
+__all__ = [
+    "app",
+    "batch",
+    "export",
+    "identify",
+    "init",
+    "loop",
+    "main",
+    "spread",
+    "tune",
+]

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from hydrojax import units
 from hydrojax.errors import InputError
+from hydrojax.logs.dates import clock_seconds
 from hydrojax.logs.tables import SIGNALS, Channel, Column, File, is_bag
 
 _WILD = 1e15  # SI; no signal comes near it
@@ -71,6 +72,8 @@ def si_values(
     """A signal in SI, [n], NaN where it has no finite number, and its unit."""
     where = f"{file.path}: column {column.label!r}"
     want = SIGNALS[name]
+    if name == "time" and (dates := clock_seconds(file, where, column)) is not None:
+        return dates, want
     if name == "u":
         want = "V" if unit is not None and units.fits(unit, "V") else "1"
     if unit is None:
@@ -89,7 +92,7 @@ def si_values(
         )
     if name == "u" and not units.fits(unit, want):
         raise InputError(f"{where}: unit {unit!r} is neither V nor 1; give u in either")
-    values = _numbers(file, where, column.values)
+    values = numbers(file, where, column.values)
     with np.errstate(over="ignore"):
         found = units.to_si(values, unit, want, where)
     wild = np.flatnonzero(np.abs(found) > _WILD)
@@ -101,7 +104,7 @@ def si_values(
     return found, want
 
 
-def _numbers(file: File, where: str, values: Any) -> np.ndarray:
+def numbers(file: File, where: str, values: Any) -> np.ndarray:
     """A column's cells as floats, [n], NaN where empty or infinite."""
     shape = np.shape(values)
     if not shape or np.size(values) != max(shape):

@@ -13,7 +13,7 @@ import pandas as pd
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from hydrojax.errors import InputError
-from hydrojax.logs.tables import unreadable
+from hydrojax.logs.tables import TABLES, unreadable
 
 Command = Literal["identify", "trace"]
 
@@ -22,7 +22,7 @@ OWN = ("job", "rig", "fit", "validate")
 
 RESULTS = ("verdict", "sentence", "failed", "effects")
 PREFIXES = ("parameter.", "channel.")
-LOGS = (".csv", ".csv.gz", ".parquet", ".mat", ".mcap")
+LOGS = (*TABLES, ".mcap")
 
 
 class Job(BaseModel):
