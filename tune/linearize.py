@@ -206,7 +206,7 @@ def responses(
     z = np.exp(2j * np.pi * hertz * s.h[:, None])
     away = z[..., None, None] * np.eye(s.A.shape[-1]) - s.A[:, None]
     inside = np.linalg.solve(away, s.B[:, None].astype(complex))
-    return s.C[:, None] @ inside + s.D[:, None]
+    return np.asarray(s.C)[:, None] @ inside + np.asarray(s.D)[:, None]
 
 
 def reduced(s: System, states: States) -> System:

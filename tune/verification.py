@@ -153,13 +153,14 @@ def _tried(
     enough = np.maximum(trials.SHARE * t.amplitude[:, None], trials.NOISES * noise)
     full = np.abs(u) >= trials.FULL * float(objective.setting.loop.law.u_max)
     saturates = full.mean(-1) > trials.SATURATED
-    errors = [
+    locked, moving, small = (
         trials.rms_error(t, k, F[k])
         for k in (trials.FORCE_LOCKED, trials.MOVING, trials.MOVING_SMALL)
-    ]
+    )
     return Tried(
-        np.asarray(gains), within, lag, follows, np.max(peaks, axis=0), *errors,
-        eigenvalue, late, swings > enough, saturates & ~t.stepped[:, None],
+        np.asarray(gains), within, lag, follows, np.max(peaks, axis=0),
+        locked, moving, small, eigenvalue, late, swings > enough,
+        saturates & ~t.stepped[:, None],
     )  # fmt: skip
 
 
