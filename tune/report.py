@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
@@ -43,9 +42,7 @@ def write(t: Tuning, out: Path) -> None:
     """Write tune.json, rig.toml, the pictures and report.html into a folder."""
     shown = []
     for name, (figure, alt, caption) in tuning_pictures(t).items():
-        store = io.BytesIO()
-        figure.savefig(store, format="png", dpi=110)
-        shown.append(page.Picture(name, store.getvalue(), alt, caption))
+        shown.append(page.Picture(name, page.png(figure, 110), alt, caption))
     files = {f"{p.name}.png": p.png for p in shown}
     text = json.dumps(t.json(), indent=1, allow_nan=False)
     files["tune.json"] = (text + "\n").encode()

@@ -28,6 +28,7 @@ from hydrojax.jax_setup import set_up_jax, user_cache
 
 @app.command()
 def batch(
+    context: typer.Context,
     jobs: Annotated[
         Path,
         typer.Argument(
@@ -63,7 +64,7 @@ def batch(
     Run again, a fleet that was stopped goes on where it was, and one that is done does
     nothing. A bad log fails on its own; the rest continue.
     """
-    check_out(out)
+    check_out(context, out)
     if command not in ("identify", "trace"):
         raise InputError(f"invalid --command {command!r}: expected identify or trace")
     set_up_jax(user_cache())

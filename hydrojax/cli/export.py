@@ -23,6 +23,7 @@ from hydrojax.report.files import write_all
 
 @app.command()
 def export(
+    context: typer.Context,
     rig: RigPath,
     to: Annotated[
         list[str],
@@ -38,7 +39,7 @@ def export(
     effects: Effects = None,
 ) -> None:
     """Write a rig for MATLAB, Modelica, an FMI master or your own firmware."""
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import export

@@ -41,6 +41,7 @@ Test = typer.Option(
 
 @app.command()
 def check(
+    context: typer.Context,
     rig: RigPath,
     logs: Annotated[
         list[Path],
@@ -57,7 +58,7 @@ def check(
 ) -> None:
     """Say what the logs hold, and which inputs look wrong: signs, units, factors."""
     if out is not None:
-        check_out(out)
+        check_out(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import api
@@ -72,6 +73,7 @@ def check(
 
 @app.command()
 def identify(
+    context: typer.Context,
     rig: RigPath,
     logs: Logs,
     validate: Annotated[list[Path] | None, Validate] = None,
@@ -83,7 +85,7 @@ def identify(
     effects: Effects = None,
 ) -> None:
     """Fit the declared model to logs; report errors and parameter uncertainties."""
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import api
@@ -98,6 +100,7 @@ def identify(
 
 @app.command()
 def trace(
+    context: typer.Context,
     rig: RigPath,
     logs: Logs,
     validate: Annotated[list[Path], Validate],
@@ -111,7 +114,7 @@ def trace(
     effects: Effects = None,
 ) -> None:
     """Close the loop: fit, residual, the effect behind it, refit, before and after."""
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import api
@@ -127,13 +130,13 @@ def trace(
 
 
 @app.command()
-def demo(out: Out = Path("hydrojax-demo")) -> None:
+def demo(context: typer.Context, out: Out = Path("hydrojax-demo")) -> None:
     """Run `trace` on a rig and logs that come with the package."""
     folder = resources.files("hydrojax") / "demo"
     with resources.as_file(folder) as here:
         console.print("trace of the demo rig: two logs to fit, one to check\n")
         logs = [here / "fit_1.csv.gz", here / "fit_2.csv.gz"]
-        trace(here / "rig.toml", logs, [here / "validate.csv.gz"], out=out)
+        trace(context, here / "rig.toml", logs, [here / "validate.csv.gz"], out=out)
 
 
 def _finish(result: Result, out: Path) -> None:

@@ -150,6 +150,7 @@ def excite(
 
 @app.command()
 def bounds(
+    context: typer.Context,
     rig: RigPath,
     logs: Logs,
     validate: Annotated[
@@ -167,7 +168,7 @@ def bounds(
     effects: Effects = None,
 ) -> None:
     """Find the adaptive law's friction bounds from many fits, and refine them."""
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     import json
@@ -199,9 +200,9 @@ def bounds(
 
 
 @app.command()
-def paper(out: Out = Path("hydrojax-paper")) -> None:
+def paper(context: typer.Context, out: Out = Path("hydrojax-paper")) -> None:
     """Repeat the paper's experiments on the reference rig: Figs. 2 to 5."""
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache(), LOOPS)
     import json
 

@@ -25,6 +25,8 @@ from hydrojax.cli.options import (
 from hydrojax.cli.words import read_axes, read_gains, read_point
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
+from hydrojax.report.files import write_all
+from hydrojax.report.page import png
 
 if TYPE_CHECKING:
     from hydrojax.tune.result import Tuned
@@ -98,6 +100,7 @@ Starts = Annotated[int, typer.Option(help="Number of descents.", min=1)]
 
 @app.command()
 def sweep(
+    context: typer.Context,
     rig: RigPath,
     over: Over,
     by: By = None,
@@ -116,7 +119,7 @@ def sweep(
     Run again, a sweep that was stopped goes on where it was, and one that is done does
     nothing.
     """
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from hydrojax.rigfile.schema import RigFile
@@ -140,8 +143,8 @@ def sweep(
 
             share_sweep(file, arguments, effects or (), out, cluster, progress)
         data = api.sweep(file, **arguments, out=out, progress=progress)
-    for name, figure in plots.sweep_figures(data).items():
-        figure.savefig(out / f"{name}.png", dpi=120)
+    drawn = plots.sweep_figures(data).items()
+    write_all(out, {f"{name}.png": png(figure, 120) for name, figure in drawn})
     for line in sentences(data):
         console.print(line)
     console.print(f"sweep.nc and pictures in {out}")
@@ -149,6 +152,7 @@ def sweep(
 
 @app.command()
 def tune(
+    context: typer.Context,
     source: Source,
     rig: SourceRig = None,
     free: Free = None,
@@ -165,7 +169,7 @@ def tune(
     out: Out = Path("hydrojax-tune"),
 ) -> None:
     """Find the gains that give the widest bandwidth, and say what limits it."""
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from hydrojax.tune import api

@@ -21,7 +21,7 @@ from hydrojax.errors import InputError
 from hydrojax.logs.bagfile import Bag, open_bag
 from hydrojax.logs.clocks import Stream
 from hydrojax.logs.resample import on_one_base
-from hydrojax.logs.tables import Column, File
+from hydrojax.logs.tables import Column, File, tidy
 
 _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
 
@@ -74,7 +74,7 @@ def read_bag(path: Path, columns: Mapping[str, str]) -> File:
         [
             Column("time", "time", "s", time),
             *found,
-            *(Column(topic, topic, None, np.empty(0)) for topic in sorted(others)),
+            *(Column(tidy(t), tidy(t), None, np.empty(0)) for t in sorted(others)),
         ],
         header=0,
         notes=tuple(notes),
@@ -83,7 +83,7 @@ def read_bag(path: Path, columns: Mapping[str, str]) -> File:
 
 def _places(path: Path, bag: Bag, columns: Mapping[str, str]) -> dict[str, _Place]:
     """Where each signal is."""
-    topics = [topic for topic, count in bag.topics.items() if count]
+    topics = [t for t, count in bag.topics.items() if count and t.isprintable()]
     if not topics:
         raise InputError(f"{path}: the bag holds no message; record the log again")
     if not columns:
