@@ -61,6 +61,19 @@ def check_expansion(size: int, path: Path) -> None:
         )
 
 
+def check_members(count: int, path: Path) -> None:
+    """Refuse a file of more columns or variables than `MEMBERS`.
+
+    Raises:
+        InputError: it has more.
+    """
+    if count > MEMBERS:
+        raise InputError(
+            f"{path}: {count} columns are more than the {MEMBERS} that are read; "
+            "export those that are needed"
+        )
+
+
 class BoundedGzip(gzip.GzipFile):
     """A gzipped file that is refused where it expands beyond `check_expansion`."""
 

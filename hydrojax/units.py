@@ -72,6 +72,8 @@ def _factor(unit: str, want: str) -> float:
     try:
         parsed = registry.parse_units(text)
     except Exception as err:  # pint raises a dozen kinds on text that is no unit
+        near = _other_case(text, want)
+        hint = f"did you mean {near!r}?" if near else hint
         raise _UnitError(f"unknown unit {shown}; {hint}") from err
     if "rad" in want and "hertz" in str(parsed):
         raise _UnitError(
@@ -85,6 +87,21 @@ def _factor(unit: str, want: str) -> float:
     if zero != 0.0:  # decibel, degC: no factor makes them SI
         raise _UnitError(f"unit {shown} has no true zero; {hint}")
     return float(one)
+
+
+def _other_case(text: str, want: str) -> str:
+    """A unit that is spelled the same in other letters, "" if there is none."""
+    head, tail = text[:1], text[1:]
+    spellings = [head.upper() + tail.capitalize(), text.lower(), text.upper()]
+    spellings += [head.lower() + tail.upper(), head.lower() + tail.capitalize()]
+    registry = _registry()
+    for spelling in spellings:
+        try:
+            if registry.parse_units(spelling).is_compatible_with(want):
+                return spelling
+        except Exception:  # as above
+            continue
+    return ""
 
 
 def fits(unit: str, want: str) -> bool:

@@ -46,8 +46,8 @@ def check(
     logs: Annotated[
         list[Path],
         typer.Argument(
-            help="Logs of the rig: CSV(.gz), Parquet, MAT, MCAP or a ROS 2 bag's "
-            "folder.",
+            help="Logs of the rig: CSV(.gz), Parquet, MAT, Excel, TDMS, MCAP or a "
+            "ROS 2 bag's folder.",
             show_default=False,
         ),
     ],

@@ -37,7 +37,8 @@ RigPath = Annotated[Path, typer.Argument(help="Rig file (TOML).", show_default=F
 Logs = Annotated[
     list[Path],
     typer.Argument(
-        help="Logs to fit: CSV(.gz), Parquet, MAT, MCAP or a ROS 2 bag's folder.",
+        help="Logs to fit: CSV(.gz), Parquet, MAT, Excel, TDMS, MCAP or a ROS 2 bag's "
+        "folder.",
         show_default=False,
     ),
 ]

@@ -51,7 +51,7 @@ def _range(text: str, where: str) -> list[float | str]:
             f"{where}: write START:STOP:COUNT, and :log for a logarithmic scale"
         )
     (start, unit), (stop, other) = (units.split(p, where) for p in ends[:2])
-    count = int(ends[2]) if ends[2].isdecimal() and len(ends[2]) < 9 else 0
+    count = int(ends[2]) if ends[2].isdecimal() and len(ends[2]) < 10 else 0
     if count > COUNT:
         raise InputError(f"{where}: a count of {count} is more than {COUNT}")
     if count < 2 or (start, unit) == (stop, other):

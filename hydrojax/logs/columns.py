@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from hydrojax import units
 from hydrojax.errors import InputError
+from hydrojax.logs.dates import clock_seconds
 from hydrojax.logs.tables import SIGNALS, Channel, Column, File, is_bag, tidy
 
 _WILD = 1e15  # SI; no signal comes near it
@@ -31,7 +32,7 @@ def assigned(
     found, notes = {}, []
     for name in SIGNALS:
         channel = channels.get(name)
-        wanted = name if channel is None else tidy(channel.column)
+        wanted = name if channel is None else tidy(file.path, channel.column)
         matches = [c for c in file.columns if wanted in (c.name, c.label)]
         if len(matches) > 1:
             raise InputError(
@@ -71,6 +72,8 @@ def si_values(
     """A signal in SI, [n], NaN where it has no finite number, and its unit."""
     where = f"{file.path}: column {column.label!r}"
     want = SIGNALS[name]
+    if name == "time" and (dates := clock_seconds(file, where, column)) is not None:
+        return dates, want
     if name == "u":
         want = "V" if unit is not None and units.fits(unit, "V") else "1"
     if unit is None:

@@ -72,7 +72,7 @@ class Log:
         channels: Mapping[str, Channel] | None = None,
         shortest: float = SHORTEST,
     ) -> Log:
-        """Read a run from .csv, .csv.gz, .parquet, .mat (v5 or v7.3), .mcap or a bag.
+        """Read a run from a file of `tables.TABLES`, .mcap or a bag.
 
         Gaps in time and missing numbers cut the run in segments: nothing is
         interpolated over them. See `rosbag.read_bag` for what brings a bag's channels

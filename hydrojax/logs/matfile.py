@@ -1,7 +1,7 @@
-"""MAT v5 files looked over before SciPy reads them.
+"""MAT files: v7.3, which are HDF5, and v5, looked over before SciPy reads them.
 
-Its reader takes sizes and depths from the file as they are: a few bytes could have it
-take gigabytes, or overrun the stack.
+SciPy takes sizes and depths from the file as they are: a few bytes could have it take
+gigabytes, or overrun the stack. HDF5 reads other files where the file says so.
 """
 
 from __future__ import annotations
@@ -11,9 +11,14 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import scipy.io
 
 from hydrojax.errors import InputError
-from hydrojax.limits import MEMBERS, check_expansion
+from hydrojax.limits import MEMBERS, WORD, check_expansion, check_members
 
 DEEPEST = 4
 """Structs and cells within each other; a log has variables, in a struct, at most."""
@@ -23,12 +28,24 @@ _CELL, _STRUCT, _OBJECT = 1, 2, 3
 _PIECE = 2**20
 
 
-def check(path: Path) -> None:
-    """Refuse a MAT v5 file that is nested deeply, or takes far more than its size.
+def read_mat(path: Path) -> dict[str, Any]:
+    """The variables of a MAT file, structs as dicts.
 
     Raises:
-        InputError: such a file, or none of this kind.
+        InputError: a file that is nested deeply, takes far more memory than its size,
+            or refers to other files.
+        Exception: whatever the libraries raise on a damaged file.
     """
+    if h5py.is_hdf5(path):
+        with h5py.File(path, "r") as file:
+            return _from_hdf5(file, path)
+    _check(path)
+    tree = scipy.io.loadmat(path, simplify_cells=True)
+    return {k: v for k, v in tree.items() if not k.startswith("__")}
+
+
+def _check(path: Path) -> None:
+    """Refuse a MAT v5 file that is nested deeply, or takes far more than its size."""
     with path.open("rb") as file:
         head = file.read(128)
         order = {b"IM": "<", b"MI": ">"}.get(head[126:128])
@@ -100,3 +117,56 @@ def _elements(content: bytes, order: str, most: int) -> Iterator[tuple[int, byte
         else:
             yield kind, content[at + 8 : at + 8 + size]
             at += 8 + size + -size % 8
+
+
+def _from_hdf5(group: h5py.Group, path: Path) -> dict[str, Any]:
+    """A v7.3 file as a dict; what is a struct in it is a dict, if it can be of use."""
+    tree = _stored(group, path, ("log", "units"))
+    sizes = (int(d.size or 0) * max(int(d.dtype.itemsize), 8) for d in _datasets(tree))
+    check_expansion(sum(sizes), path)
+    return _values(tree)
+
+
+def _stored(group: h5py.Group, path: Path, structs: tuple[str, ...]) -> dict[str, Any]:
+    """The datasets in a group, and in the groups of some names.
+
+    Only what MATLAB itself stores is taken: links lead to other places of the file, or
+    to other files, and virtual and external datasets hold the bytes of any file.
+    """
+    tree: dict[str, Any] = {}
+    check_members(len(group), path)
+    for name in map(str, group):
+        if name.startswith("#"):  # MATLAB's store of cells
+            continue
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise InputError(
+                f"{path}: {name!r} is a link to another place, which is not followed; "
+                "store the values themselves"
+            )
+        item = group[name]
+        if isinstance(item, h5py.Group) and name in structs:
+            tree[name] = _stored(item, path, structs[1:])
+        elif isinstance(item, h5py.Dataset):
+            if item.external or item.is_virtual:
+                raise InputError(
+                    f"{path}: {name!r} has its values in another file, which is not "
+                    "read; store the values themselves"
+                )
+            tree[name] = item
+    return tree
+
+
+def _datasets(tree: dict[str, Any]) -> Iterator[h5py.Dataset]:
+    for item in tree.values():
+        yield from _datasets(item) if isinstance(item, dict) else (item,)
+
+
+def _values(tree: dict[str, Any]) -> dict[str, Any]:
+    """The values of datasets; text is uint16 arrays."""
+    out = {}
+    for name, item in tree.items():
+        value: Any = _values(item) if isinstance(item, dict) else item[()]
+        if not isinstance(item, dict) and item.attrs.get("MATLAB_class") == b"char":
+            value = "".join(map(chr, np.ravel(value, order="F")[:WORD]))
+        out[name] = value.decode() if isinstance(value, bytes) else value
+    return out

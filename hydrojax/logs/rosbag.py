@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, one_line
+from hydrojax.limits import WORD
 from hydrojax.logs.bagfile import Bag, open_bag
 from hydrojax.logs.clocks import Stream
 from hydrojax.logs.resample import on_one_base
-from hydrojax.logs.tables import Column, File, tidy
+from hydrojax.logs.tables import Column, File
 
 _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
 
@@ -74,7 +75,10 @@ def read_bag(path: Path, columns: Mapping[str, str]) -> File:
         [
             Column("time", "time", "s", time),
             *found,
-            *(Column(tidy(t), tidy(t), None, np.empty(0)) for t in sorted(others)),
+            *(
+                Column(t, t, None, np.empty(0))
+                for t in sorted(one_line(topic, WORD) for topic in others)
+            ),
         ],
         header=0,
         notes=tuple(notes),

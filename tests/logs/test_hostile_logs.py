@@ -6,6 +6,7 @@ import gzip
 import os
 import struct
 import time
+import zipfile
 import zlib
 from pathlib import Path
 
@@ -43,7 +44,7 @@ def test_a_heading_with_a_line_break_is_the_column(tmp_path):
     np.testing.assert_allclose(log.signals["P_a1"], 1e5 * run["P_a1 [bar\n]"])
 
 
-@pytest.mark.parametrize("heading", ["[" * 60_000, "a" * 300_000, f"x{' ' * 60_000}]"])
+@pytest.mark.parametrize("heading", ["[" * 60_000, "a" * 100_000, f"x{' ' * 60_000}]"])
 def test_an_endless_heading(tmp_path, heading):
     path = write(tmp_path / "log.csv", a_run() | {heading: a_run()["u [V]"]})
     refused_at_once(path, "too long")
@@ -212,3 +213,22 @@ def test_a_mat_file_that_claims_more_than_it_holds(hdf5):
         del file["F"]
         file["F"] = np.zeros(2000, dtype=[("a", "f8"), ("b", "f8")])
     refused_at_once(hdf5, "not a vector")
+
+
+# -- Excel --
+
+
+def test_a_sheet_with_one_cell_far_off(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in range(1, 40):
+        book.active.cell(row, 1, row)
+    book.active.cell(400_000, 9_000, "far")
+    book.save(tmp_path / "log.xlsx")
+    refused_at_once(tmp_path / "log.xlsx", "memory")
+
+
+def test_a_workbook_that_expands_without_end(tmp_path):
+    with zipfile.ZipFile(tmp_path / "log.xlsx", "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("xl/workbook.xml", b" " * (100 * MIB))
+    refused_at_once(tmp_path / "log.xlsx", "less compression")

@@ -311,7 +311,7 @@ def test_not_toml(tmp_path: Path) -> None:
         RigFile.load(tmp_path / "rig.toml")
     with pytest.raises(InputError, match="cannot be read"):
         RigFile.load(tmp_path / "none.toml")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="not a regular file"):
         RigFile.load(tmp_path)
 
 

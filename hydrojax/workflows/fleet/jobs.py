@@ -13,8 +13,7 @@ import pandas as pd
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from hydrojax.errors import InputError, one_line
-from hydrojax.limits import WORD
-from hydrojax.logs.tables import tidy, unreadable
+from hydrojax.logs.tables import TABLES, tidy, unreadable
 
 Command = Literal["identify", "trace"]
 
@@ -23,7 +22,7 @@ OWN = ("job", "rig", "fit", "validate")
 
 RESULTS = ("verdict", "sentence", "failed", "effects")
 PREFIXES = ("parameter.", "channel.")
-LOGS = (".csv", ".csv.gz", ".parquet", ".mat", ".mcap")
+LOGS = (*TABLES, ".mcap")
 
 
 class Job(BaseModel):
@@ -145,9 +144,7 @@ def _table(path: Path) -> pd.DataFrame:
     except Exception as error:  # every library has its own kinds for a broken file
         hint = f"save it again as {kind}"
         raise unreadable(path, f"{kind} file", error, hint) from error
-    if not frame.columns.map(str).str.len().max() <= WORD:
-        raise InputError(f"{path}: a column's name has more than {WORD} characters")
-    names = [tidy(str(c)) for c in frame.columns]
+    names = [tidy(path, str(c)) for c in frame.columns]
     for i, name in enumerate(names):
         if name in names[:i]:
             raise InputError(f"{path}: column {name!r} is there twice; rename one")
