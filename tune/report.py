@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from hydrojax.report import page
-from hydrojax.report.files import write_all
+from hydrojax.report.files import digest, write_all
 from hydrojax.tune.display import (
     bode_figure,
     ends,
@@ -44,9 +44,10 @@ def write(t: Tuning, out: Path) -> None:
     for name, (figure, alt, caption) in tuning_pictures(t).items():
         shown.append(page.Picture(name, page.png(figure, 110), alt, caption))
     files = {f"{p.name}.png": p.png for p in shown}
-    text = json.dumps(t.json(), indent=1, allow_nan=False)
-    files["tune.json"] = (text + "\n").encode()
     files["rig.toml"] = t.rig.text.encode()
+    record = t.json() | {"rig_toml_sha256": digest(files["rig.toml"])}
+    text = json.dumps(record, indent=1, allow_nan=False)
+    files["tune.json"] = (text + "\n").encode()
     said = page.page(
         Path(__file__).parent / "report.html",
         (show,),

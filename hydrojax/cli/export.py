@@ -56,5 +56,5 @@ def export(
                 )
         write_all(out, made.files)
     for note in made.notes:
-        console.print(f"note: {note}", markup=False, soft_wrap=True)
-    console.print(f"{', '.join(made.files)} in {out}", markup=False, soft_wrap=True)
+        console.print(f"note: {note}", soft_wrap=True)
+    console.print(f"{', '.join(made.files)} in {out}", soft_wrap=True)

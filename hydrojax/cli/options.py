@@ -20,13 +20,14 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from hydrojax.errors import InputError
-from hydrojax.report.files import claim
+from hydrojax.errors import InputError, check_known
+from hydrojax.report.files import check_untouched, claim
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # brackets in help texts are what a rig file has
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Find the effect behind the residual of a hydraulic force-control model.",
 )
 console = Console(markup=False, emoji=False)
@@ -49,6 +50,18 @@ Effects = Annotated[
     typer.Option(help="Python file with effects of your own; may be repeated."),
 ]
 
+Json = Annotated[
+    bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+FailOn = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Exit with 1 on these verdicts: unknown, explained, 'nothing missing'; "
+        "all words that follow.",
+        show_default=False,
+    ),
+]
 
 Gains = Annotated[
     list[str] | None,
@@ -90,10 +103,10 @@ Profile = Annotated[
 
 
 @contextmanager
-def show_progress() -> Iterator[Callable[[str], None]]:
+def show_progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """A line that says what is being done, and for how long it has been."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    quiet = not errors.is_terminal  # else a log file gets an empty line
+    quiet = quiet or not errors.is_terminal  # else a log file gets an empty line
     with Progress(*columns, console=errors, transient=True, disable=quiet) as bar:
         task = bar.add_task("read the logs")
         yield lambda what: bar.update(task, description=what)
@@ -122,6 +135,25 @@ def check_out(context: typer.Context, out: Path) -> None:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file: name a folder with --out")
     context.with_resource(claim(out))
+
+
+def check_report(context: typer.Context, out: Path) -> None:
+    """Refuse a folder that cannot be written, or whose rig.toml somebody edited."""
+    check_out(context, out)
+    check_untouched(out)
+
+
+VERDICTS = ("nothing missing", "explained", "unknown")
+
+
+def check_verdicts(named: list[str] | None) -> tuple[str, ...]:
+    """The verdicts that `--fail-on` names.
+
+    Raises:
+        InputError: another word.
+    """
+    check_known("--fail-on:", named or (), VERDICTS, "verdict")
+    return tuple(named or ())
 
 
 def check_file(out: Path) -> None:

@@ -17,6 +17,7 @@ from hydrojax.cli.options import (
     RigPath,
     app,
     check_out,
+    check_report,
     console,
     counted,
     load_effects,
@@ -169,7 +170,7 @@ def tune(
     out: Out = Path("hydrojax-tune"),
 ) -> None:
     """Find the gains that give the widest bandwidth, and say what limits it."""
-    check_out(context, out)
+    check_report(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from hydrojax.tune import api

@@ -87,6 +87,21 @@ def read_point(words: Sequence[str], option: str = "--at") -> dict[str, float | 
     return out
 
 
+def read_columns(words: Sequence[str]) -> dict[str, str]:
+    """`signal=column` words as columns by signal.
+
+    Raises:
+        InputError: words of another form.
+    """
+    out: dict[str, str] = {}
+    for word in words:
+        name, sign, text = (part.strip() for part in word.partition("="))
+        if not sign or not text:
+            raise InputError(f"--column {word!r}: write SIGNAL=COLUMN, such as u=MainU")
+        out[name] = text
+    return out
+
+
 def read_gains(words: Sequence[str]) -> dict[str, object]:
     """`name=value` or `name=lower,upper` words as keys of [controller].
 

@@ -8,6 +8,7 @@ folder is read or written next.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -25,6 +26,37 @@ READY = ".hydrojax-ready"
 LOCK = ".hydrojax-lock"
 OBSOLETE = ".obsolete"
 """In `READY`: the names of files that the new ones replace under other names."""
+
+_RECORDS = ("report.json", "tune.json", "bounds.json")
+"""Files that say which rig.toml was written beside them."""
+
+
+def digest(content: bytes) -> str:
+    """What identifies a file's content: its SHA-256."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def check_untouched(folder: Path) -> None:
+    """Refuse a folder whose rig.toml is not as it was written by an earlier run.
+
+    Raises:
+        InputError: somebody wrote or edited it.
+    """
+    path = folder / "rig.toml"
+    if not path.is_file():
+        return
+    own = digest(path.read_bytes())
+    for name in _RECORDS:
+        try:
+            record = json.loads((folder / name).read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError):
+            continue
+        if isinstance(record, dict) and record.get("rig_toml_sha256") == own:
+            return
+    raise InputError(
+        f"{path}: was edited, or is not of an earlier run, and would be overwritten; "
+        "move it away, or name another folder with --out"
+    )
 
 
 def write_all(

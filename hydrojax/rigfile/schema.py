@@ -20,6 +20,7 @@ from hydrojax.rigfile.sections import (
     GEOMETRY,
     LANDS,
     LOAD,
+    SUPPLY,
     SUPPLY_UNITS,
     ControllerValue,
     Entry,
@@ -31,9 +32,6 @@ from hydrojax.rigfile.sections import (
     section_values,
     unit_of_command,
 )
-
-SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
-"""Supply and return pressure (Pa) where neither log nor rig file has them."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +149,38 @@ class RigFile:
         """
         text = to_text(tree, base_specs(valve), effect_specs())
         return cls.from_text(text, path, valve)
+
+    @classmethod
+    def from_log(
+        cls,
+        *logs: str | Path,
+        layout: str = "",
+        columns: Mapping[str, str] | None = None,
+        name: str = "",
+        **sizes: units.QuantityLike,
+    ) -> RigFile:
+        """A commented rig file, drafted from what logs hold; `text` has the comments.
+
+        Args:
+            logs: paths of tables, of one rig and one logger.
+            layout: one of `LAYOUTS`; guessed from columns and rod without it.
+            columns: by signal, where the names do not tell.
+            name: of the rig; the first log's without it.
+            sizes: `bore`, `rod`, `stroke`, `radius` (where an angle is logged),
+                `rated_flow` (of the open valve, at 35 bar over each edge) and `supply`
+                (where no pressure of it is logged), each with its unit.
+
+        Raises:
+            InputError: a size is missing or invalid, or see `Log.load`.
+        """
+        from hydrojax.rigfile.draft.sizes import read_sizes
+        from hydrojax.rigfile.draft.write import drafted, read_log
+
+        if not logs:
+            raise InputError("from_log: no log; name at least one")
+        found = read_log(logs, columns or {}, layout, read_sizes(**sizes))
+        own, text = drafted(found, name)
+        return cls.from_text(text, own)
 
     def save(self, path: str | Path) -> None:
         """Write the text that this was read from, UTF-8.

@@ -31,6 +31,9 @@ GEOMETRY = {
 SUPPLY_UNITS = {"P_s": "Pa", "P_r": "Pa"}
 """What [supply] may hold, and the SI unit."""
 
+SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
+"""Supply and return pressure (Pa) where neither log nor rig file has them."""
+
 LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
 """What [load] may hold, and the SI unit."""
 
