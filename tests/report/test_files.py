@@ -45,29 +45,34 @@ def test_a_folder_on_another_file_system_than_the_one_above(tmp_path):
         shared.rmdir()
 
 
+KILLED = """
+import os, sys
+from pathlib import Path
+from hydrojax.report.files import write_all
+
+calls = int(sys.argv[2])
+
+def killed(function):
+    def call(*arguments):
+        global calls
+        calls -= 1
+        if calls < 0:
+            os._exit(9)
+        return function(*arguments)
+    return call
+
+os.replace, os.rename = killed(os.replace), killed(os.rename)
+new = {"report.json": b"new", "rig.toml": b"new"}
+write_all(Path(sys.argv[1]), new, obsolete=["report_loop.png"])
+"""
+
+
 @pytest.mark.parametrize("after", range(4))
-def test_stopped_between_two_renames_the_folder_is_all_old_or_all_new(
-    tmp_path, monkeypatch, after
-):
+def test_stopped_between_two_renames_the_folder_is_all_old_or_all_new(tmp_path, after):
     """As `kill -9` does it: nothing is put right on the way out."""
     write_all(tmp_path, OLD)
-    calls = iter([None] * after)
-
-    def killed(function):
-        def call(*arguments):
-            if next(calls, "stop") == "stop":
-                os._exit(9)
-            return function(*arguments)
-
-        return call
-
-    child = os.fork()
-    if not child:
-        for name in ("replace", "rename"):
-            setattr(os, name, killed(getattr(os, name)))
-        write_all(tmp_path, NEW, obsolete=["report_loop.png"])
-        os._exit(0)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == (9 if after < 3 else 0)
+    command = [sys.executable, "-c", KILLED, str(tmp_path), str(after)]
+    assert subprocess.run(command).returncode == (9 if after < 3 else 0)
     settle(tmp_path)
     assert contents(tmp_path) == (NEW if after else OLD)
     with claim(tmp_path):
