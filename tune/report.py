@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from hydrojax.report import page
-from hydrojax.report.files import write_all
+from hydrojax.report.files import digest, write_all
 from hydrojax.tune.display import (
     bode_figure,
     ends,
@@ -50,13 +49,12 @@ def write(t: Tuning, out: Path) -> None:
     """Write tune.json, rig.toml, the pictures and report.html into a folder."""
     shown = []
     for name, (figure, alt, caption) in tuning_pictures(t).items():
-        store = io.BytesIO()
-        figure.savefig(store, format="png", dpi=110)
-        shown.append(page.Picture(name, store.getvalue(), alt, caption))
+        shown.append(page.Picture(name, page.png(figure, 110), alt, caption))
     files = {f"{p.name}.png": p.png for p in shown}
-    text = json.dumps(t.json(), indent=1, allow_nan=False)
-    files["tune.json"] = (text + "\n").encode()
     files["rig.toml"] = t.rig.text.encode()
+    record = t.json() | {"rig_toml_sha256": digest(files["rig.toml"])}
+    text = json.dumps(record, indent=1, allow_nan=False)
+    files["tune.json"] = (text + "\n").encode()
     said = page.page(
         Path(__file__).parent / "report.html",
         (show,),

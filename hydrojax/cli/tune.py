@@ -17,6 +17,7 @@ from hydrojax.cli.options import (
     RigPath,
     app,
     check_out,
+    check_report,
     console,
     counted,
     load_effects,
@@ -25,6 +26,8 @@ from hydrojax.cli.options import (
 from hydrojax.cli.words import read_axes, read_gains, read_point
 from hydrojax.errors import InputError, check_known
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
+from hydrojax.report.files import write_all
+from hydrojax.report.page import png
 
 if TYPE_CHECKING:
     from hydrojax.tune.aims import Aim as AnyAim
@@ -103,6 +106,7 @@ Starts = Annotated[int, typer.Option(help="Number of descents.", min=1)]
 
 @app.command()
 def sweep(
+    context: typer.Context,
     rig: RigPath,
     over: Over,
     by: By = None,
@@ -121,7 +125,7 @@ def sweep(
     Run again, a sweep that was stopped goes on where it was, and one that is done does
     nothing.
     """
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from hydrojax.rigfile.schema import RigFile
@@ -145,8 +149,8 @@ def sweep(
 
             share_sweep(file, arguments, effects or (), out, cluster, progress)
         data = api.sweep(file, **arguments, out=out, progress=progress)
-    for name, figure in plots.sweep_figures(data).items():
-        figure.savefig(out / f"{name}.png", dpi=120)
+    drawn = plots.sweep_figures(data).items()
+    write_all(out, {f"{name}.png": png(figure, 120) for name, figure in drawn})
     for line in sentences(data):
         console.print(line)
     console.print(f"sweep.nc and pictures in {out}")
@@ -154,6 +158,7 @@ def sweep(
 
 @app.command()
 def tune(
+    context: typer.Context,
     source: Source,
     rig: SourceRig = None,
     free: Free = None,
@@ -175,7 +180,7 @@ def tune(
     Gains are proposed only if they hold in simulated runs on every plant; exit 1, and
     what stands in the way, where there are none.
     """
-    check_out(out)
+    check_report(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from hydrojax.tune import api
