@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hydrojax.report import markup
+from hydrojax.report.text import in_picture
 from hydrojax.tune.metrics import maximum, minimum
 from hydrojax.tune.optimize import TIGHT
 from hydrojax.tune.tuning import Tuning
@@ -142,7 +143,7 @@ def bode_figure(t: Tuning) -> Figure:
         ax.set_xlim(0.5, 200)
         ax.grid(alpha=0.3)
     top.legend()
-    top.set_title(f"{t.name}: linearised, adaptation frozen", fontsize=10)
+    top.set_title(f"{in_picture(t.name)}: linearised, adaptation frozen", fontsize=10)
     return fig
 
 

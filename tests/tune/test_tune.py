@@ -267,10 +267,13 @@ def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
     leak = '[effects.internal_leakage]\nc_il = "2e-12 m^3/(s*Pa)"\n\n[controller]'
     (folder / "rig.toml").write_text(text.replace("[controller]", leak))
     content = {
+        "format": "hydrojax-report/1",
         "parameters": {"beta": {"value": 8.3e8, "std": 8e6, "unit": "Pa"}},
         "effects": [{
             "name": "internal_leakage",
-            "parameters": {"c_il": {"value": 2e-12, "std": 1e-14}},
+            "parameters": {
+                "c_il": {"value": 2e-12, "std": 1e-14, "unit": "m^3/(s*Pa)"}
+            },
         }],
     }  # fmt: skip
     (folder / "report.json").write_text(json.dumps(content))
