@@ -13,8 +13,11 @@ from jaxtyping import Float
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.parameters import parameter_specs, put
-from hydrojax.report.record import Parameter, read_report
+from hydrojax.report.record import Channel, Parameter, read_report
 from hydrojax.rigfile.quantities import Setting
+
+UNVALIDATED = 0.05
+"""Relative model error of a report that does not say what its validation left."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +30,17 @@ class Findings:
         parameters: value and standard deviation (None where it was not fitted) by
             name; those of effects as `valve_lag.tau`; SI as stored.
         covariance: names, and the covariance of what was fitted, if the report has it.
+        absent: effects that the logs would have shown, and did not.
+        residual: of the validation, relative to how far a channel moves within a
+            window, the largest of all channels.
     """
 
     source: Path
     effects: tuple[str, ...]
     parameters: Mapping[str, Parameter]
     covariance: tuple[tuple[str, ...], Float[np.ndarray, "n n"]] | None = None
+    absent: tuple[str, ...] = ()
+    residual: float = UNVALIDATED
 
     @classmethod
     def load(cls, folder: str | Path) -> Findings:
@@ -48,6 +56,8 @@ class Findings:
             tuple(effect.name for effect in report.effects),
             report.every_parameter,
             (tuple(full.names), np.array(full.matrix)) if full else None,
+            tuple(c.name for c in report.candidates if c.status == "absent"),
+            _residual(report.channels),
         )
 
     @property
@@ -80,3 +90,14 @@ class Findings:
                     f"{specs[name].unit}; run identify or trace again"
                 )
         return found
+
+
+def _residual(channels: Mapping[str, Channel]) -> float:
+    """The largest relative error that validation left; at most all of a signal."""
+    shares = []
+    for channel in channels.values():
+        judged = channel.validate_ or channel
+        held = judged.held or channel.held
+        if judged.after is not None and held:
+            shares.append(min(judged.after / held, 1.0))
+    return max(shares, default=UNVALIDATED)

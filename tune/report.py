@@ -12,6 +12,7 @@ from hydrojax.report.files import digest, write_all
 from hydrojax.tune.display import (
     bode_figure,
     ends,
+    front_figure,
     limit,
     limits_figure,
     metrics_table,
@@ -30,6 +31,12 @@ def tuning_pictures(t: Tuning) -> dict[str, tuple[Figure, str, str]]:
             "ensemble's stable plants; dashed: where it leaves 1 dB.",
         )
     }  # fmt: skip
+    if t.optimum.seen.size:
+        out["tune_front"] = (
+            front_figure(t), "Band against tracking, peak and noise.",
+            "All stable gains that the descents looked at; above the line a limit is "
+            "kept.",
+        )  # fmt: skip
     if t.relaxed:
         out["tune_limits"] = (
             limits_figure(t), f"Bandwidth with each limit taken away. {limit(t)}",

@@ -24,12 +24,13 @@ from hydrojax.cli.options import (
     show_progress,
 )
 from hydrojax.cli.words import read_axes, read_gains, read_point
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, check_known
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 from hydrojax.report.files import settle, write_all
 from hydrojax.report.page import png
 
 if TYPE_CHECKING:
+    from hydrojax.tune.aims import Aim as AnyAim
     from hydrojax.tune.result import Tuned
 
 
@@ -75,14 +76,18 @@ Free = Annotated[
     list[str] | None,
     typer.Option(
         help="What is tuned: k_p, k_f, k_1, tau_d …: all words that follow.",
-        show_default="k_p k_f k_1, and A_a where a load moves",
+        show_default="k_p k_f k_1, the rates of adaptation, and A_a where a load moves",
     ),
 ]
-Adaptation = Annotated[
-    bool,
+Aim = Annotated[
+    str,
     typer.Option(
-        "--adaptation", help="Tune the rates and bounds of the adaptation too."
+        help="What is made as large as it can be: following, magnitude, tracking or "
+        "rejection."
     ),
+]
+Tolerance = Annotated[
+    float, typer.Option(help="Of |1 - F/F_d| in the band that follows.", min=0.01)
 ]
 Peak = Annotated[float, typer.Option(help="Largest resonance, dB.", min=0.1)]
 Margin = Annotated[
@@ -158,23 +163,28 @@ def tune(
     rig: SourceRig = None,
     free: Free = None,
     at: At = None,
-    adaptation: Adaptation = False,
+    objective: Aim = "following",
+    tolerance: Tolerance = 0.2,
     ensemble: Ensemble = 8,
     spread: Spread = 0.2,
     peak: Peak = 3.0,
     margin: Margin = 6.0,
     noise: Noise = 0.01,
-    tracking: Tracking = 3.0,
-    starts: Starts = 3,
+    tracking: Tracking = 1.0,
+    starts: Starts = 2,
     effects: Effects = None,
     out: Out = Path("hydrojax-tune"),
 ) -> None:
-    """Find the gains that give the widest bandwidth, and say what limits it."""
+    """Find the gains with which the force follows best, and say what limits it.
+
+    Gains are proposed only if they hold in simulated runs on every plant; exit 1, and
+    what stands in the way, where there are none.
+    """
     check_report(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from hydrojax.tune import api
-    from hydrojax.tune.objective import Limits
+    from hydrojax.tune.aims import Limits
 
     limits = Limits(peak_dB=peak, sensitivity_dB=margin, noise=noise, tracking=tracking)
     folder = source if source.is_dir() else None
@@ -184,7 +194,7 @@ def tune(
             free or (),
             limits,
             at=read_point(at or ()),
-            adaptation=adaptation,
+            aim=_aim(objective, tolerance),
             plants=ensemble,
             spread=spread,
             findings=folder,
@@ -195,6 +205,19 @@ def tune(
         tuned.save(out)
     _print(tuned)
     console.print(f"tune.json, rig.toml and report.html in {out}")
+    if tuned.obstacles:
+        raise typer.Exit(1)
+
+
+def _aim(word: str, tolerance: float) -> AnyAim:
+    """The aim of a word."""
+    from hydrojax.tune import aims
+
+    known = {kind.word: kind for kind in aims.AIMS}
+    check_known("--objective:", [word], known, "objective")
+    if word == aims.Following.word:
+        return aims.Following(tolerance)
+    return known[word]()
 
 
 def _print(tuned: Tuned) -> None:

@@ -56,11 +56,25 @@ class Parameter(Part):
     unit: Unit
 
 
-class Channel(Part):
-    """The error of a channel; SI."""
+class Errors(Part):
+    """An error of a channel, and that of its value held; SI."""
+
+    after: float | None = Field(ge=0)
+    held: float | None = Field(default=None, ge=0)
+
+
+class Channel(Errors):
+    """The error of a channel; where there are test logs, that on the others besides."""
 
     unit: Unit
-    after: float | None = Field(ge=0)
+    validate_: Errors | None = Field(default=None, alias="validate")
+
+
+class Candidate(Part):
+    """What became of a candidate."""
+
+    name: Name
+    status: str
 
 
 class Effect(Part):
@@ -112,6 +126,7 @@ class Report(Part):
     parameters: dict[Name, Parameter]
     channels: dict[Name, Channel] = {}
     effects: list[Effect]
+    candidates: list[Candidate] = []
     covariance: Covariance | None = None
 
     @property
