@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from benchmarks.damage import __main__ as damage
 from benchmarks.damage import readers
 from benchmarks.damage.mutations import damaged_log, damaged_rig
+from benchmarks.damage.samples import samples
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
@@ -251,7 +252,7 @@ def test_the_command_answers_or_refuses(bench, monkeypatch, cache_home, seed):
 def sound(tmp_path_factory) -> Path:
     """Sound samples of everything that is read."""
     folder = tmp_path_factory.mktemp("sound")
-    readers.samples(folder)
+    samples(folder)
     return folder
 
 
