@@ -59,9 +59,7 @@ def spread(words: list[str]) -> list[str]:
 
 
 def _refuse(error: Exception) -> NoReturn:
-    errors.print(
-        f"hydrojax: {error}", style=None, markup=False, emoji=False, soft_wrap=True
-    )
+    errors.print(f"hydrojax: {error}", style=None, soft_wrap=True)
     sys.exit(2)
 
 

@@ -15,6 +15,7 @@ from hydrojax.report.files import write_all
 
 @app.command()
 def compare(
+    context: typer.Context,
     a: Annotated[
         Path,
         typer.Argument(help="Folder of identify or trace.", show_default=False),
@@ -27,7 +28,7 @@ def compare(
 ) -> None:
     """Set two reports side by side: verdicts, errors, effects, parameters."""
     if out is not None:
-        check_out(out)
+        check_out(context, out)
     from hydrojax.report.compare import Comparison
     from hydrojax.report.compare import compare as compared
 
@@ -38,7 +39,7 @@ def compare(
         print_json(found.to_dict())
         return
     for name, rig, verdict in zip(found.names, found.rigs, found.verdicts, strict=True):
-        console.print(f"{name}: {rig}, {verdict}", markup=False)
+        console.print(f"{name}: {rig}, {verdict}")
     if not found.same_logs:
         console.print("judged on different logs: errors do not compare")
     errors = Table("error after", *found.names, "change")
@@ -47,7 +48,7 @@ def compare(
     console.print(errors)
     for name, *there in found.effects:
         where = [n for n, yes in zip(found.names, there, strict=True) if yes]
-        console.print(f"{name}: found in {' and '.join(where)}", markup=False)
+        console.print(f"{name}: found in {' and '.join(where)}")
     table = Table("parameter", *found.names, "change", "std")
     for pair in found.parameters:
         apart = "–" if pair.apart is None else f"{pair.apart:.1f}"
@@ -55,4 +56,4 @@ def compare(
     console.print(table)
     console.print("std: the difference in standard deviations of it")
     if out is not None:
-        console.print(f"page in {out / 'compare.html'}", markup=False)
+        console.print(f"page in {out / 'compare.html'}")

@@ -51,6 +51,7 @@ Test = typer.Option(
 
 @app.command()
 def check(
+    context: typer.Context,
     rig: RigPath,
     logs: Annotated[
         list[Path],
@@ -69,7 +70,7 @@ def check(
 ) -> None:
     """Say what the logs hold, and which inputs look wrong: signs, units, factors."""
     if out is not None:
-        check_out(out)
+        check_out(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import api
@@ -82,13 +83,14 @@ def check(
         print_json(found.to_dict())
     if json or quiet:
         return
-    console.print(found.summary(), markup=False, soft_wrap=True, end="")
+    console.print(found.summary(), soft_wrap=True, end="")
     if out is not None:
-        console.print(f"\npage in {out / 'check.html'}", markup=False)
+        console.print(f"\npage in {out / 'check.html'}")
 
 
 @app.command()
 def identify(
+    context: typer.Context,
     rig: RigPath,
     logs: Logs,
     validate: Annotated[list[Path] | None, Validate] = None,
@@ -104,7 +106,7 @@ def identify(
 ) -> None:
     """Fit the declared model to logs; report errors and parameter uncertainties."""
     failing = check_verdicts(fail_on)
-    check_report(out)
+    check_report(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import api
@@ -119,6 +121,7 @@ def identify(
 
 @app.command()
 def trace(
+    context: typer.Context,
     rig: RigPath,
     logs: Logs,
     validate: Annotated[list[Path], Validate],
@@ -136,7 +139,7 @@ def trace(
 ) -> None:
     """Close the loop: fit, residual, the effect behind it, refit, before and after."""
     failing = check_verdicts(fail_on)
-    check_report(out)
+    check_report(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import api
@@ -152,13 +155,13 @@ def trace(
 
 
 @app.command()
-def demo(out: Out = Path("hydrojax-demo")) -> None:
+def demo(context: typer.Context, out: Out = Path("hydrojax-demo")) -> None:
     """Run `trace` on a rig and logs that come with the package."""
     folder = resources.files("hydrojax") / "demo"
     with resources.as_file(folder) as here:
         console.print("trace of the demo rig: two logs to fit, one to check\n")
         logs = [here / "fit_1.csv.gz", here / "fit_2.csv.gz"]
-        trace(here / "rig.toml", logs, [here / "validate.csv.gz"], out=out)
+        trace(context, here / "rig.toml", logs, [here / "validate.csv.gz"], out=out)
 
 
 def _finish(
@@ -177,7 +180,6 @@ def _finish(
         console.print(
             f"\ncompile {spent['compile']:.1f} s, run {spent['run']:.1f} s; "
             f"report in {out / 'report.html'}",
-            markup=False,
             soft_wrap=True,
         )
     if outcome.verdict in failing:
@@ -215,7 +217,7 @@ def print_outcome(outcome: Outcome) -> None:
             if effect.cannot_tell_from
             else ""
         )
-        console.print(f"{effect.name}: {found}{alike}", markup=False)
+        console.print(f"{effect.name}: {found}{alike}")
     says = (f"{f.input}: {f.says}" for f in outcome.inputs[1:])
     for line in (*says, *outcome.limits, *outcome.notes):
-        console.print(f"- {line}", markup=False)
+        console.print(f"- {line}")

@@ -78,11 +78,10 @@ def simulate(
                 gains=read_gains(gains or []), out=out,
             )  # fmt: skip
     for line in run.notes:
-        console.print(f"warning: {line}", markup=False)
+        console.print(f"warning: {line}")
     console.print(
         f"{run.t.size} samples in {out}; F_d - F {run.rms_error:.3g} N RMS after the "
         f"first quarter; command saturated in {100 * run.saturated:.1f} % of them",
-        markup=False,
     )
 
 
@@ -151,6 +150,7 @@ def excite(
 
 @app.command()
 def bounds(
+    context: typer.Context,
     rig: RigPath,
     logs: Logs,
     validate: Annotated[
@@ -168,7 +168,7 @@ def bounds(
     effects: Effects = None,
 ) -> None:
     """Find the adaptive law's friction bounds from many fits, and refine them."""
-    check_report(out)
+    check_report(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     import json
@@ -202,9 +202,9 @@ def bounds(
 
 
 @app.command()
-def paper(out: Out = Path("hydrojax-paper")) -> None:
+def paper(context: typer.Context, out: Out = Path("hydrojax-paper")) -> None:
     """Repeat the paper's experiments on the reference rig: Figs. 2 to 5."""
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache(), LOOPS)
     import json
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,7 +21,7 @@ from rich.progress import (
 )
 
 from hydrojax.errors import InputError, check_known
-from hydrojax.report.files import check_untouched
+from hydrojax.report.files import check_untouched, claim
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -30,8 +30,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Find the effect behind the residual of a hydraulic force-control model.",
 )
-console = Console()
-errors = Console(stderr=True)
+console = Console(markup=False, emoji=False)
+"""Names of files and rigs are printed as they are: `[/b]` is no markup in them."""
+errors = Console(stderr=True, markup=False, emoji=False)
 
 RigPath = Annotated[Path, typer.Argument(help="Rig file (TOML).", show_default=False)]
 Logs = Annotated[
@@ -124,19 +125,21 @@ def counted(what: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def check_out(out: Path) -> None:
-    """Refuse a folder that cannot be written, before any work."""
+def check_out(context: typer.Context, out: Path) -> None:
+    """Hold a folder until the command ends, before any work: see `files.claim`.
+
+    Raises:
+        InputError: it is no folder, cannot be written to, or another run holds it.
+    """
     for path in (out, *out.parents):
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file: name a folder with --out")
-    there = next(path for path in (out, *out.absolute().parents) if path.exists())
-    if not os.access(there, os.W_OK):
-        raise InputError(f"{out}: cannot be written to: name another folder with --out")
+    context.with_resource(claim(out))
 
 
-def check_report(out: Path) -> None:
+def check_report(context: typer.Context, out: Path) -> None:
     """Refuse a folder that cannot be written, or whose rig.toml somebody edited."""
-    check_out(out)
+    check_out(context, out)
     check_untouched(out)
 
 
@@ -157,7 +160,18 @@ def check_file(out: Path) -> None:
     """Refuse a file that cannot be written, before any work."""
     if out.is_dir():
         raise InputError(f"{out}: is a folder: name a file with --out")
-    check_out(out.parent)
+    for path in out.parents:
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file: name a folder with --out")
+    there = next(path for path in out.absolute().parents if path.exists())
+    try:
+        with tempfile.TemporaryFile(dir=there) as probe:
+            probe.write(b" " * 4096)
+    except OSError as err:
+        raise InputError(
+            f"{out}: cannot be written to ({err.strerror}): name another file with "
+            "--out"
+        ) from err
 
 
 def load_effects(files: list[Path] | None) -> None:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.dates import clock_seconds
-from hydrojax.logs.tables import SIGNALS, Channel, Column, File, is_bag
+from hydrojax.logs.tables import SIGNALS, Channel, Column, File, is_bag, tidy
 
 _WILD = 1e15  # SI; no signal comes near it
 
@@ -32,7 +32,7 @@ def assigned(
     found, notes = {}, []
     for name in SIGNALS:
         channel = channels.get(name)
-        wanted = name if channel is None else channel.column.strip()
+        wanted = name if channel is None else tidy(file.path, channel.column)
         matches = [c for c in file.columns if wanted in (c.name, c.label)]
         if len(matches) > 1:
             raise InputError(
@@ -106,8 +106,8 @@ def si_values(
 
 def numbers(file: File, where: str, values: Any) -> np.ndarray:
     """A column's cells as floats, [n], NaN where empty or infinite."""
-    shape = np.shape(values)
-    if not shape or np.size(values) != max(shape):
+    plain = isinstance(values, (pd.Series, np.ndarray)) and values.dtype.names is None
+    if not plain or not values.shape or values.size != max(values.shape):
         raise InputError(f"{where} is not a vector; store it as one")
     cells = values if isinstance(values, pd.Series) else pd.Series(np.ravel(values))
     if cells.dtype.kind not in "biuf":  # text, or objects

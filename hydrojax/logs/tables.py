@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Mapping, Sequence
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pandas as pd
-import scipy.io
 from pydantic import BaseModel, ConfigDict
 
 from hydrojax import units
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, one_line
+from hydrojax.limits import WORD, check_expansion, check_members
+from hydrojax.logs.matfile import read_mat
 from hydrojax.logs.texts import Head, head_of, read_text
 
 SIGNALS = {
@@ -31,6 +32,10 @@ TABLES = {
     ".parquet": "Parquet", ".mat": "MAT", ".xlsx": "Excel", ".tdms": "TDMS",
 }  # fmt: skip
 """Files of columns, by how their names end."""
+
+
+_CELL = 64
+"""Bytes that a cell of a sheet takes, about."""
 
 
 class Channel(BaseModel):
@@ -107,9 +112,12 @@ def table_of(frame: pd.DataFrame, units: Mapping[str, str], name: str) -> File:
     if any(own is not None for own in frame.index.names):
         frame = frame.reset_index()
     given = {**frame.attrs.get("units", {}), **units}
-    columns = [_labelled(label, frame.iloc[:, i]) for i, label in enumerate(frame)]
+    path = Path(name)
+    columns = [
+        _labelled(path, label, frame.iloc[:, i]) for i, label in enumerate(frame)
+    ]
     columns = [replace(c, unit=given.get(c.name, c.unit)) for c in columns]
-    return File(Path(name), columns, header=0)
+    return File(path, columns, header=0)
 
 
 def unreadable(path: Path, kind: str, error: Exception, mend: str) -> InputError:
@@ -124,9 +132,25 @@ _UNIT = re.compile(r"(.*?)\s*\[(.*)\]|(.*?\S)\s*(?:\(([^()]*)\)|\s/\s(\S+))")
 """`name [unit]`; and `name (unit)`, `name / unit`, where it is a unit of a signal."""
 
 
-def _labelled(label: object, values: Any, below: str | None = None) -> Column:
+def tidy(path: Path, name: str) -> str:
+    """A column's name in one line, as it is compared and shown.
+
+    Raises:
+        InputError: a name that is too long.
+    """
+    if len(name) > WORD:
+        raise InputError(
+            f"{path}: column {one_line(name, 60)!r}: a name of {len(name)} characters "
+            f"is too long; give it one of at most {WORD}"
+        )
+    return one_line(" ".join(name.split()))
+
+
+def _labelled(
+    path: Path, label: object, values: Any, below: str | None = None
+) -> Column:
     """A column called `name [unit]`; `below`: the cell of a row of units."""
-    text = str(label).strip()
+    text = tidy(path, str(label))
     match = _UNIT.fullmatch(text)
     if match is None:
         return Column(text, text, below or None, values)
@@ -146,9 +170,10 @@ def _csv(path: Path) -> File:
 
 def _headed(path: Path, head: Head, values: Sequence[Any], notes: tuple = ()) -> File:
     """A file whose labels, and units, stand in rows of it."""
+    check_members(len(head.labels), path)
     below = head.units or [""] * len(head.labels)
     columns = [
-        _labelled(label, cells, unit)
+        _labelled(path, label, cells, unit)
         for label, unit, cells in zip(head.labels, below, values, strict=True)
     ]
     return File(path, columns, head.lines, notes)
@@ -157,7 +182,12 @@ def _headed(path: Path, head: Head, values: Sequence[Any], notes: tuple = ()) ->
 def _parquet(path: Path) -> File:
     import pyarrow as pa  # slow to import
     from pyarrow import dataset
+    from pyarrow import parquet as pq
 
+    with pq.ParquetFile(path) as file:
+        said = file.metadata
+        check_members(said.num_columns, path)
+        check_expansion(said.num_rows * said.num_columns * 8, path)
     # Column by column, each let go as it is taken over, and given back to the system,
     # which Arrow's own allocator puts off: long logs are large.
     pool = pa.system_memory_pool()
@@ -166,54 +196,37 @@ def _parquet(path: Path) -> File:
     del table
     if any(name is not None for name in frame.index.names):
         frame = frame.reset_index()
-    columns = [
-        _labelled(name, frame.iloc[:, i]) for i, name in enumerate(frame.columns)
-    ]
+    columns = [_labelled(path, name, frame.iloc[:, i]) for i, name in enumerate(frame)]
     return File(path, columns, header=0)
 
 
 def _mat(path: Path) -> File:
-    if h5py.is_hdf5(path):
-        with h5py.File(path, "r") as file:
-            tree = _from_hdf5(file)
-    else:
-        tree = scipy.io.loadmat(path, simplify_cells=True)
-        tree = {k: v for k, v in tree.items() if not k.startswith("__")}
+    tree = read_mat(path)
+    check_members(len(tree), path)
     inner = tree.pop("log", {})
     tree |= inner if isinstance(inner, dict) else {"log": inner}
     given = tree.pop("units", {})
+    given = given if isinstance(given, dict) else {}
     said = {k: v for k, v in given.items() if isinstance(v, str)}
     for name in list(tree):
         if f"{name}_unit" in tree:
             said[name] = str(tree.pop(f"{name}_unit"))
+    names = {k: tidy(path, k) for k in tree}
     columns = [
-        Column(k, k, said.get(k, "").strip() or None, v) for k, v in tree.items()
+        Column(names[k], names[k], said.get(k, "").strip() or None, v)
+        for k, v in tree.items()
     ]
     return File(path, columns, header=0)
-
-
-def _from_hdf5(group: h5py.Group) -> dict[str, Any]:
-    """A v7.3 file or struct as a dict; its text is uint16 arrays."""
-    tree = {}
-    for name, item in group.items():
-        if name.startswith("#"):  # MATLAB's store of cells
-            continue
-        if isinstance(item, h5py.Group):
-            tree[name] = _from_hdf5(item)
-        elif isinstance(item, h5py.Dataset):
-            value: Any = item[()]
-            if item.attrs.get("MATLAB_class") == b"char":
-                value = "".join(map(chr, np.ravel(value, order="F")))
-            tree[name] = value.decode() if isinstance(value, bytes) else value
-    return tree
 
 
 def _xlsx(path: Path) -> File:
     """The one sheet of an Excel file that holds a table."""
     openpyxl = _package(path, "openpyxl", "xlsx")
+    with zipfile.ZipFile(path) as parts:
+        check_expansion(sum(p.file_size for p in parts.infolist()), path)
     book = openpyxl.load_workbook(path, read_only=True, data_only=True)
     try:
-        sheets = {s.title: list(s.iter_rows(values_only=True)) for s in book.worksheets}
+        sheets = {s.title: list(_rows(s, path)) for s in book.worksheets}
     finally:
         book.close()
     tables = {title: rows for title, rows in sheets.items() if len(rows) > 20}
@@ -236,18 +249,30 @@ def _xlsx(path: Path) -> File:
     return _headed(path, short, values)
 
 
+def _rows(sheet: Any, path: Path) -> Iterator[tuple[Any, ...]]:
+    """The rows of a sheet; one cell far off would make millions of empty ones."""
+    cells = 0
+    for row in sheet.iter_rows(values_only=True):
+        cells += len(row)
+        check_members(len(row), path)
+        check_expansion(_CELL * cells, path)
+        yield row
+
+
 def _tdms(path: Path) -> File:
     """The channels of a TDMS file; time from their common sampling, if not logged."""
     nptdms = _package(path, "nptdms", "tdms")
     with nptdms.TdmsFile.open(path) as file:
         channels = [c for g in file.groups() for c in g.channels() if len(c)]
+        check_members(len(channels), path)
+        check_expansion(8 * sum(map(len, channels)), path)
         read = [(c.group_name, c.name, dict(c.properties), c[:]) for c in channels]
     names = [name for _, name, _, _ in read]
     columns, steps = [], set()
     for group, name, given, values in read:
         label = name if names.count(name) == 1 else f"{group}/{name}"
         unit = str(given.get("unit_string") or given.get("NI_UnitDescription") or "")
-        columns.append(_labelled(label, pd.Series(values), unit.strip()))
+        columns.append(_labelled(path, label, pd.Series(values), unit.strip()))
         start = given.get("wf_start_offset", 0.0)
         steps.add((given.get("wf_increment"), start, len(values)))
     if not any(c.name == "time" for c in columns) and len(steps) == 1:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import gzip
 import re
 import warnings
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ import pandas as pd
 
 from hydrojax import units
 from hydrojax.errors import InputError
+from hydrojax.limits import BoundedGzip
 
 _SAMPLE = 1 << 18
 """Bytes of a file that decide how it is read."""
@@ -81,14 +81,13 @@ def read_text(path: Path) -> tuple[Head, list[Any], tuple[str, ...]]:
         Exception: whatever the libraries raise on what is no text, or no table.
     """
     form = _form(path)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), _opened(path) as file:
         warnings.simplefilter("error", pd.errors.ParserWarning)  # cells lost
         frame = pd.read_csv(
-            path,
+            file,
             skiprows=form.head.lines,
             names=range(len(form.head.labels)),
             low_memory=False,
-            compression="gzip" if _zipped(path) else None,
             encoding=form.encoding,
             sep=form.separator,
             decimal=form.decimal,
@@ -162,19 +161,25 @@ def _is_unit(cell: str) -> bool:
     return bool(cell) and any(units.fits(cell, want) for want in wants)
 
 
-def _zipped(path: Path) -> bool:
-    return path.name.lower().endswith(".gz")
+def _opened(path: Path) -> Any:
+    """A text file's bytes."""
+    return (BoundedGzip if path.name.lower().endswith(".gz") else open)(path, "rb")
 
 
 def _form(path: Path) -> Form:
     """How a file is written, from its first lines."""
-    with (gzip.open if _zipped(path) else open)(path, "rb") as file:
+    with _opened(path) as file:
         raw = file.read(_SAMPLE)
     encoding = _encoding(raw)
     text = codecs.getincrementaldecoder(encoding)("strict").decode(raw)
     lines = text.splitlines()
-    if len(raw) == _SAMPLE and len(lines) > 1:
+    if len(raw) == _SAMPLE:
         lines.pop()  # cut short
+    if not lines:
+        raise InputError(
+            f"{path}: its first line has more than {_SAMPLE} bytes; it is to hold the "
+            "columns' names, and every row is to have a line of its own"
+        )
     body = [line for line in lines if line.strip() and not line.startswith("#")]
     separator = _separator(body[:50])
     # Each row as wide as its line; quoted line ends count as lines.

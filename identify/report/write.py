@@ -295,6 +295,4 @@ def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None
     files["report.json"] = (text + "\n").encode()
     if outcome.rig_file:
         files["rig.toml"] = outcome.rig_file.encode()
-    write_all(folder, files)
-    for name in {f"report_{p}.png" for p in PICTURES} - set(files):
-        (folder / name).unlink(missing_ok=True)
+    write_all(folder, files, obsolete=[f"report_{p}.png" for p in PICTURES])

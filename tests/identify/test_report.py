@@ -30,6 +30,7 @@ from hydrojax.identify.results.report_json import report_json
 from hydrojax.identify.results.report_schema import report_schema
 from hydrojax.identify.results.summary import with_inputs
 from hydrojax.report import files, text
+from hydrojax.report.record import read_report
 
 NOISE = {"P_a1": 9e3, "P_a2": 9e3, "F": 2.5}
 UNITS = {"P_a1": "Pa", "P_a2": "Pa", "F": "N"}
@@ -286,6 +287,7 @@ def test_json_keeps_the_contract(written, name):
     assert {k: type(v) for k, v in found.items()} == CONTRACT
     jsonschema.validate(found, report_schema())
     assert found["format"] == "hydrojax-report/1"
+    assert read_report(written / name).rig == found["rig"]
     assert set(found["logs"]) == {"fit", "validate", "test"}
     for key, wanted in RECORDS.items():
         for record in found[key]:

@@ -177,8 +177,5 @@ def write_fleet_report(store: Store, keys: Sequence[str], title: str) -> Seen:
     shown = draw_fleet(store, seen)
     files = {f"{p.name}.png": p.png for p in shown}
     files["fleet.html"] = fleet_page(seen, shown, title).encode()
-    write_all(store.folder, files)
-    for old in store.folder.glob("fleet_*.png"):
-        if old.name not in files:
-            old.unlink()
+    write_all(store.folder, files, [p.name for p in store.folder.glob("fleet_*.png")])
     return seen
