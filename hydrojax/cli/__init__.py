@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import socket
@@ -143,6 +144,9 @@ def main() -> None:
 
 def _run(came: list[int]) -> NoReturn:
     """Run the command line and leave."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names of files need not be text
+            stream.reconfigure(errors="backslashreplace")
     try:
         code = app(spread(sys.argv[1:]), prog_name="hydrojax", standalone_mode=False)
     except InputError as error:
