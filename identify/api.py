@@ -15,6 +15,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.check import check_inputs
+from hydrojax.identify.estimation.balance import balanced
 from hydrojax.identify.estimation.fit import (
     FitPoint,
     fit_force,
@@ -95,6 +96,7 @@ def _fit_base(
         values = best_start(problem, values, free, starts)
     progress("fit the declared model")
     if problem.sees_pressures and problem.side(free, True):
+        values = balanced(problem, values, free)
         problem, values = fit_pressures(problem, values, free)
     done, point = fit_force(problem, values, free)
     if not np.isfinite(done.batch.P_0).all():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -16,6 +17,10 @@ from hydrojax.plant.effect import (
 
 P_0 = 101_325.0
 """Atmospheric pressure (Pa): the reference of entrained air."""
+
+
+SHUT = 1e-2
+"""Share by which a counterbalance valve that is shut still passes: what leaks."""
 
 
 class SupplyLineDrop(SupplyEffect):
@@ -40,7 +45,8 @@ class PressureCompensation(SupplyEffect):
 
     It takes what exceeds its margin: of a drop `d` over `dP_0` it leaves
     `d^(1-s) dP_0^s`, an orifice at s = 0 and a flow set by the opening alone at s = 1.
-    Below the margin it stands open.
+    Below the margin it stands open. It holds the load, as its check valve does: where
+    the supply stands below the chamber it lets the share `1 - s` flow back.
     """
 
     name = "pressure_compensation"
@@ -58,27 +64,31 @@ class PressureCompensation(SupplyEffect):
     ) -> Float[Array, "*batch"]:
         """Pressure taken of `available`, Pa; whatever the `conductance` is."""
         over = jnp.maximum(available / self.dP_0, 1.0)
-        return available * -jnp.expm1(-self.s * jnp.log(over))
+        taken = -jnp.expm1(-self.s * jnp.log(over))
+        return available * jnp.where(available < 0, self.s, taken)
 
 
 class Counterbalance(OrificeEffect):
     """Over-centre valve in the line of each chamber: throttles what leaves it.
 
-    It opens with the chamber's pressure and, `ratio` times, with the other line's:
-    by `(P_i + ratio P_j - P_set) / dP_full` of its full opening. `s_i` is the share of
-    the outflow that it governs, 1 where chamber i has one. What comes from the supply
-    is free. The line's own volume and the valve's lag are left out.
+    It opens with the chamber's pressure and, `ratio` times, with the other line's, by
+    the share `s = (P_i + ratio P_j - P_set) / dP_full` of its full opening. It stands in
+    series with the metering edge: outflow Q loses `k_i Q^2 / s^2` in it, none at
+    `k_i = 0` (no valve in the line of chamber i). What comes from the supply is free.
+    The line's own volume and the valve's lag are left out.
     """
 
     name = "counterbalance"
     needs = ("u", "differential")
     residual_axis = "P_a1 + P_a2"
-    s_1: Float[Array, ""] = param(
-        "1", 0.0, 0.0, 1.0, "share, chamber 1", strength=True, size=0.1
-    )
-    s_2: Float[Array, ""] = param(
-        "1", 0.0, 0.0, 1.0, "share, chamber 2", strength=True, size=0.1
-    )
+    k_1: Float[Array, ""] = param(
+        "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss when open, chamber 1", strength=True,
+        size=2e10, grid=(3e10, 3e11, 3e12),
+    )  # fmt: skip
+    k_2: Float[Array, ""] = param(
+        "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss when open, chamber 2", strength=True,
+        size=2e10, grid=(3e10, 3e11, 3e12),
+    )  # fmt: skip
     P_set: Float[Array, ""] = param(
         "Pa", 1.5e7, 2e6, 4e7, "setting", grid=(8e6, 1.5e7, 2.5e7)
     )
@@ -87,12 +97,16 @@ class Counterbalance(OrificeEffect):
         "Pa", 1.5e7, 5e5, 6e7, "pressure from shut to open", prior=1e7
     )
 
-    def outlet(self, at):
-        def passes(s, own, pilot):
-            over = (own + self.ratio * pilot - self.P_set) / self.dP_full
-            return 1 - s * (1 - jnp.clip(over, 0.0, 1.0))
+    def outlet(self, at, out_1, out_2):
+        def passes(k, out, own, pilot):
+            share = (own + self.ratio * pilot - self.P_set) / self.dP_full
+            share = jnp.clip(share, SHUT, 1.0)
+            return out * share * jax.lax.rsqrt(share**2 + k * out**2)
 
-        return passes(self.s_1, at.P_a1, at.P_a2), passes(self.s_2, at.P_a2, at.P_a1)
+        return (
+            passes(self.k_1, out_1, at.P_a1, at.P_a2),
+            passes(self.k_2, out_2, at.P_a2, at.P_a1),
+        )
 
 
 class InternalLeakage(FlowEffect):

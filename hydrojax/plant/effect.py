@@ -76,8 +76,8 @@ class OrificeEffect(Effect):
     """Changes the valve's four edges: how far they open, how laminar they are.
 
     `opening(spool) -> (open_p, open_n)` is added to the openings toward either side,
-    `core() -> Pa^2` to the square of the laminar core; `outlet(at)` multiplies what the
-    edges to the return let out of chambers 1 and 2.
+    `core() -> Pa^2` to the square of the laminar core; `outlet(at, out_1, out_2)` gives
+    the conductances from chambers 1 and 2 to the return in place of the edges' own.
     """
 
     place = "orifice"
@@ -94,10 +94,10 @@ class OrificeEffect(Effect):
         return 0.0
 
     def outlet(
-        self, at: Point
-    ) -> tuple[Float[Array, "*batch"] | float, Float[Array, "*batch"] | float]:
-        """Shares of the outflow that are let out of chambers 1 and 2."""
-        return 1.0, 1.0
+        self, at: Point, out_1: Float[Array, "*batch"], out_2: Float[Array, "*batch"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Conductances from chambers 1 and 2 to the return, m^3/(s Pa^0.5)."""
+        return out_1, out_2
 
 
 class SupplyEffect(Effect):

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import refilled
+from hydrojax.plant.chambers import Point, refilled
 from hydrojax.plant.effect import CommandDelay
 from hydrojax.plant.friction import Sliding, run_linear
 from hydrojax.plant.hydraulics import pressure_step
@@ -196,24 +196,31 @@ def _through(
     return memory, mean_opening(us)
 
 
-def pressures(
-    rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
-) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
-    """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa."""
+def openings(rig: Rig, w: Windows) -> tuple[Float[Array, "ticks windows"], ...]:
+    """The spool's opening over each tick of the windows, as `Point` has it."""
     rig, ahead, goals = _commands(rig, w)
 
     def warm(memory, held):
         return _through(rig, memory, *held)[0], None
 
-    def advance(carry, at):
-        memory, P = carry
-        goal, inputs = at
-        memory, opening = _through(rig, memory, goal, inputs.h)
-        P = pressure_step(rig, P, opening, inputs)
-        return (memory, P), (refilled(P[0]), refilled(P[1]))
-
     memory = rig.command_init(ahead[0][0][..., 0])
     memory, _ = jax.lax.scan(warm, memory, ahead)
+    return jax.lax.scan(
+        lambda memory, at: _through(rig, memory, *at),
+        memory,
+        (goals, w.h[:, :-1].T),
+    )[1]
+
+
+def pressures(
+    rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
+) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
+    """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa."""
+
+    def advance(P, at):
+        opening, inputs = at
+        P = pressure_step(rig, P, opening, inputs)
+        return P, (refilled(P[0]), refilled(P[1]))
 
     def ends(p):
         return jnp.stack([p[:, :-1], p[:, 1:]], axis=-1)
@@ -232,11 +239,47 @@ def pressures(
     )
     inputs = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), inputs)
     start = (P_0[:, 0], P_0[:, 1])
-    _, (P_a1, P_a2) = jax.lax.scan(advance, (memory, start), (goals, inputs))
+    _, (P_a1, P_a2) = jax.lax.scan(advance, start, (openings(rig, w), inputs))
     return (
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),
     )
+
+
+def imbalance(
+    rig: Rig, w: Windows
+) -> tuple[Float[Array, "windows n-1"], Float[Array, "windows n-1"]]:
+    """What each chamber's flow balance lacks over every tick, at the measured
+    pressures, as a displacement of the piston, [W, lead+T-1] each; m.
+
+    Nothing is integrated but the command's path: `dP = h rate` is solved for the motion
+    at which it would hold (equation error; L. Ljung, System Identification, 1999,
+    section 7.2). What the measured pressures' noise brings into it biases a fit; what
+    the model lacks does not run on in it, as it does in a replay.
+    """
+
+    def middle(a):
+        return (a[:, :-1] + a[:, 1:]) / 2
+
+    h, n = w.h[:, :-1], w.x_fine.shape[-1]
+    at = Point(
+        refilled(middle(w.P_a1)),
+        refilled(middle(w.P_a2)),
+        middle(w.P_s),
+        middle(w.P_r),
+        tuple(o.T for o in openings(rig, w)),
+        x=w.x_fine[..., n // 2],
+        v=(w.x_fine[..., -1] - w.x_fine[..., 0]) / h,
+    )
+    rates, per_speed = jax.jvp(
+        lambda v: rig.pressure_rates(at._replace(v=v)), (at.v,), (jnp.ones_like(at.v),)
+    )
+    measured = (jnp.diff(w.P_a1, axis=1), jnp.diff(w.P_a2, axis=1))
+    one, two = (
+        (dP - h * rate) / slope
+        for dP, rate, slope in zip(measured, rates, per_speed, strict=True)
+    )
+    return one, two
 
 
 def _sense(

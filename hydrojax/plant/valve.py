@@ -187,8 +187,7 @@ class MeteringEdges(AbstractValve):
         q_2 = drawn(self.c_p2 * open_n, at.P_a2)
         out_1, out_2 = self.c_n1 * open_n, self.c_n2 * open_p
         for edge in orifices:
-            share_1, share_2 = edge.outlet(at)
-            out_1, out_2 = out_1 * share_1, out_2 * share_2
+            out_1, out_2 = edge.outlet(at, out_1, out_2)
         q_1 = q_1 - out_1 * root(at.P_a1 - at.P_r)
         q_2 = q_2 - out_2 * root(at.P_a2 - at.P_r)
         return q_1, q_2

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from hydrojax.identify.estimation.balance import balanced
 from hydrojax.identify.estimation.coupled import answer
 from hydrojax.identify.estimation.fit import fit_all
 from hydrojax.identify.estimation.misfit import batch_of
@@ -151,8 +152,7 @@ def _position(
         return None  # the fit will say that the model has no finite answer
     data = ready(smoothed[:count], np.hypot(noise, extra))
     problem = problem_of(data)
-    _, point = fit_all(problem, start, in_play(problem, data))
-    found = brought(point.values)
+    found = brought(_roughly_fitted(problem, start, in_play(problem, data)))
     found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, criteria.distorted * found)
     moves = ", ".join(
@@ -168,6 +168,20 @@ def _position(
         f"left of its noise moves {moves} RMS, which is counted into their noise"
     )
     return Smoothed(smoothed, np.hypot(noise, extra), note, change)
+
+
+def _roughly_fitted(
+    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
+) -> Float[np.ndarray, "n"]:
+    """Values near a fit: flow balances, then mechanics by themselves."""
+    if not problem.sees_pressures:
+        return fit_all(problem, values, free)[1].values
+    if problem.side(free, True):
+        values = balanced(problem, values, free)
+    mechanical, noise = problem.side(free, False), np.asarray(problem.batch.noise)
+    if mechanical and np.isfinite(noise[2]):
+        values, _ = problem.solve(values, mechanical, noise)
+    return values
 
 
 def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Smoothed | None:

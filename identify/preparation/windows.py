@@ -12,12 +12,19 @@ from hydrojax.plant.replay import Motion, Windows
 PRE = 60
 """Ticks of command ahead of a window that the log must have."""
 
-REACH, REACH_SECONDS = 260, 0.25
-"""Ticks of command ahead of a window that a replay is given, and seconds: whichever is
-longer. A slow spool remembers so long, and the longest delay is within."""
+REACH = 0.26
+"""Seconds of command ahead of a window that a replay is given, and `PRE` ticks at
+least: a slow spool remembers so long, and the longest delay is within."""
 
-LEAD = 20
-"""Ticks at the head of a window that are run but not compared."""
+LEAD, FEWEST_LEAD = 0.02, 4
+"""Seconds at the head of a window that are run but not compared, and ticks at least."""
+
+DRIVEN_LEAD = 20
+"""The same in ticks where the pressures drive, at most: it settles sensors only."""
+
+SUBSTEP = 2.5e-3
+"""Longest substep of the pressures, s: halved, the error of a fit of a mobile machine
+logged at 100 Hz moves by less than 1 kPa."""
 
 SETTLE = 1.0
 """Seconds at the head of a segment that no window takes: what bristle, filtered speed
@@ -29,6 +36,9 @@ RUN = 20
 """Windows that follow each other where only some of a log's are taken: friction is
 followed through them, and through the seconds ahead, so that memory does not grow with
 the length of the log."""
+
+BEYOND = 20
+"""Ticks after the last window of a run that its splines are given."""
 
 QUARTERS = 4
 """Steps of the bristle per tick."""
@@ -62,7 +72,7 @@ def spread_runs(
         i, of = rows[k]
         ahead = min(own[0], starts[k][0])
         # A little beyond the last window, where a spline is at its end.
-        stop = min(of.start + own[-1] + size + LEAD, of.stop)
+        stop = min(of.start + own[-1] + size + BEYOND, of.stop)
         kept_rows.append((i, slice(of.start + own[0] - ahead, stop)))
         kept.append(range(ahead, ahead + own[-1] - own[0] + 1, own.step))
     return kept_rows, kept

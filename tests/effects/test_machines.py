@@ -42,6 +42,8 @@ def test_a_compensator_leaves_its_margin_across_the_edge(s):
         assert q[1] == pytest.approx(-C * 0.6 * np.sqrt(5e6 - P_R), rel=1e-5)
     below = flows(effect, point(P_S - 3e5, 5e6, 0.6))[0]
     assert below == pytest.approx(C * 0.6 * np.sqrt(3e5), rel=1e-4)
+    back = flows(effect, point(P_S + 2e6, 5e6, 0.6))[0]
+    assert back == pytest.approx(-C * 0.6 * np.sqrt((1 - s) * 2e6), rel=1e-4, abs=1e-9)
 
 
 @pytest.mark.parametrize("u_full", [1.0, 10.0])
@@ -54,12 +56,18 @@ def test_a_flow_curve_is_whole_at_full_command(u_full):
 
 
 def test_a_counterbalance_valve_opens_by_its_pilot():
-    """Shut below its setting; by thirds of its way; open; the other way free."""
-    effect = EFFECTS["counterbalance"](s_2=1.0, P_set=1.2e7, ratio=3.0, dP_full=9e6)
-    for pilot, open_to in ((1e6, 0.0), (3e6, 1 / 3), (4e6, 2 / 3), (8e6, 1.0)):
+    """In series with the edge; shut below its setting but for a leak; by thirds of its
+    way; open; the other way free.
+    """
+    own = 2 * C
+    effect = EFFECTS["counterbalance"](
+        k_2=1 / own**2, P_set=1.2e7, ratio=3.0, dP_full=9e6
+    )
+    for pilot, share in ((1e6, 0.01), (3e6, 1 / 3), (4e6, 2 / 3), (8e6, 1.0)):
         q = flows(effect, point(pilot, 6e6, 0.5))
-        want = -C * 0.5 * np.sqrt(6e6 - P_R) * open_to
-        assert q[1] == pytest.approx(want, rel=1e-5, abs=1e-12)
+        lost = 1 / (C * 0.5) ** 2 + 1 / (own * share) ** 2
+        want = -np.sqrt((6e6 - P_R) / lost)
+        assert q[1] == pytest.approx(want, rel=1e-5)
         assert q[0] == pytest.approx(C * 0.5 * np.sqrt(P_S - pilot), rel=1e-5)
     lifted = flows(effect, point(1e6, 6e6, -0.5))
     assert lifted[1] == pytest.approx(C * 0.5 * np.sqrt(P_S - 6e6), rel=1e-5)
