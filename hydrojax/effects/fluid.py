@@ -44,8 +44,8 @@ class PressureCompensation(SupplyEffect):
     """A compensator ahead of the edges that draw on the supply: proportional valves.
 
     It takes what exceeds its margin: of a drop `d` over `dP_0` it leaves
-    `d^(1-s) dP_0^s`, an orifice at s = 0 and a flow set by the opening alone at s = 1.
-    Below the margin it stands open. It holds the load, as its check valve does: where
+    `d^(1-s) dP_0^s`: an orifice at s = 0, a flow set by the opening alone at s = 1, and
+    one that falls as the drop grows beyond that (overcompensated). Below the margin it stands open. It holds the load, as its check valve does: where
     the supply stands below the chamber it lets the share `1 - s` flow back.
     """
 
@@ -53,7 +53,7 @@ class PressureCompensation(SupplyEffect):
     needs = ("u", "differential")
     residual_axis = "P_s"
     s: Float[Array, ""] = param(
-        "1", 0.0, 0.0, 1.0, "share of the drop", strength=True, size=0.1
+        "1", 0.0, 0.0, 1.3, "share of the drop", strength=True, size=0.1
     )
     dP_0: Float[Array, ""] = param(
         "Pa", 7e5, 1e5, 3e6, "margin", grid=(4e5, 1e6), prior=5e5
@@ -65,17 +65,17 @@ class PressureCompensation(SupplyEffect):
         """Pressure taken of `available`, Pa; whatever the `conductance` is."""
         over = jnp.maximum(available / self.dP_0, 1.0)
         taken = -jnp.expm1(-self.s * jnp.log(over))
-        return available * jnp.where(available < 0, self.s, taken)
+        return available * jnp.where(available < 0, jnp.minimum(self.s, 1.0), taken)
 
 
 class Counterbalance(OrificeEffect):
     """Over-centre valve in the line of each chamber: throttles what leaves it.
 
-    It opens with the chamber's pressure and, `ratio` times, with the other line's, by
-    the share `s = (P_i + ratio P_j - P_set) / dP_full` of its full opening. It stands in
-    series with the metering edge: outflow Q loses `k_i Q^2 / s^2` in it, none at
-    `k_i = 0` (no valve in the line of chamber i). What comes from the supply is free.
-    The line's own volume and the valve's lag are left out.
+    It opens with the chamber's pressure and, `ratio` times, with the other line's: by
+    the share `s = (P_i + ratio P_j - P_set) / dP_full`. It stands in series with the
+    metering edge: outflow Q loses `k_i Q^2 / s^2` in it, none at `k_i = 0` (no valve in
+    the line of chamber i). What comes from the supply is free. The line's own volume
+    and the valve's lag are left out.
     """
 
     name = "counterbalance"

@@ -20,6 +20,7 @@ from hydrojax.identify.estimation.columns import (
 from hydrojax.identify.estimation.coupled import agreed, stretched
 from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.estimation.misfit import (
+    START_SPREAD,
     Sums,
     batch_of,
     filled,
@@ -280,7 +281,15 @@ class Problem:
         batch = self.batch
         if self.blind:
             return replace(self, batch=self._begun(values)[0])
-        return replace(self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :2, -1]))
+        P_0 = batch.P_0 - at.start[:, :2, -1]
+        for i, own in enumerate((batch.windows.P_a1, batch.windows.P_a2)):
+            if np.isfinite(np.asarray(batch.noise)[i]):
+                # A chamber that runs empty in a window says little of where it began.
+                first = np.asarray(own)[:, 0]
+                P_0[:, i] = np.clip(
+                    P_0[:, i], first - START_SPREAD, first + START_SPREAD
+                )
+        return replace(self, batch=batch._replace(P_0=P_0))
 
     def initial_values(self) -> Float[np.ndarray, "n"]:
         """The rig's values, with every free parameter at its start."""

@@ -22,6 +22,10 @@ LEAD, FEWEST_LEAD = 0.02, 4
 DRIVEN_LEAD = 20
 """The same in ticks where the pressures drive, at most: it settles sensors only."""
 
+NEAR = 8e-3
+"""Seconds around its first tick whose measured pressures give a window's first guess,
+8 ticks at most."""
+
 SUBSTEP = 2.5e-3
 """Longest substep of the pressures, s: halved, the error of a fit of a mobile machine
 logged at 100 Hz moves by less than 1 kPa."""
@@ -130,7 +134,8 @@ def cut(
         t = s.t[at]
         h = np.append(np.diff(t), t[-1] - t[-2])
         fine = t[:-1, None] + h[:-1, None] * parts
-        near = slice(max(first - 8, 0), first + 9)
+        around = int(np.clip(round(NEAR / h[0]), 2, 8))
+        near = slice(max(first - around, 0), first + around + 1)
         slope = np.polyfit(s.t[near] - t[0], s.P[near], 1)
         P_0.append(slope[1])
         before, before_h = _past(s, first, pre)
