@@ -45,8 +45,9 @@ class PressureCompensation(SupplyEffect):
 
     It takes what exceeds its margin: of a drop `d` over `dP_0` it leaves
     `d^(1-s) dP_0^s`: an orifice at s = 0, a flow set by the opening alone at s = 1, and
-    one that falls as the drop grows beyond that (overcompensated). Below the margin it stands open. It holds the load, as its check valve does: where
-    the supply stands below the chamber it lets the share `1 - s` flow back.
+    one that falls as the drop grows beyond that (overcompensated). Below the margin it
+    stands open. It holds the load, as its check valve does: where the supply stands
+    below the chamber it lets the share `1 - s` flow back.
     """
 
     name = "pressure_compensation"
