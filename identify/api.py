@@ -23,6 +23,7 @@ from hydrojax.identify.estimation.fit import (
     fit_pressures,
     reweighted,
 )
+from hydrojax.identify.estimation.misfit import room_of
 from hydrojax.identify.estimation.problem import (
     COULOMB,
     Problem,
@@ -79,6 +80,9 @@ def _problems(
     problem = Problem.of(rig, free, case.fit, case.criteria)
     check = Problem.of(rig, free, case.check, case.criteria)
     use = in_play(problem, case.fit)
+    if len(check.batch.P_0) > len(problem.batch.P_0) // 3:
+        # One program for both: what it runs for nothing costs less than another.
+        check = replace(check, least=room_of(problem.batch))
     return replace(problem, free=known), check, use, effects
 
 

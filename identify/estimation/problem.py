@@ -21,6 +21,7 @@ from hydrojax.identify.estimation.coupled import agreed, stretched
 from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.estimation.misfit import (
     START_SPREAD,
+    Room,
     Sums,
     batch_of,
     filled,
@@ -82,7 +83,8 @@ class Problem:
 
     `symmetric` holds k_cp and k_cn equal, for logs that do not distinguish a difference
     of the two from an offset k_0. `known` is what other logs give, in place of priors;
-    `criteria` the thresholds of whatever is decided on it.
+    `criteria` the thresholds of whatever is decided on it, `least` the size of logs
+    that its programs are to have room for.
     """
 
     model: ParametricRig
@@ -93,6 +95,7 @@ class Problem:
     symmetric: bool = False
     known: Known | None = None
     criteria: Criteria = Criteria()
+    least: Room = (0, 0, 0)
 
     @classmethod
     def of(
@@ -229,7 +232,9 @@ class Problem:
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
         at = jnp.asarray(values)
-        return self._real(run_leftover(self.model, at, filled(batch), self.simulate))
+        return self._real(
+            run_leftover(self.model, at, filled(batch, self.least), self.simulate)
+        )
 
     def _begun(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
         """The batch with its windows' initial pressures found, and the residuals.
