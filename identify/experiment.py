@@ -157,6 +157,7 @@ def log_batch(
         first=jnp.asarray(first),
         before=table[first[:, None] - PRE + np.arange(PRE), 0],
         before_h=setup.h * jnp.ones((len(first), PRE)),
+        P_before=table[first[:, None] - PRE + np.arange(PRE), 1:3],
         u=table[index, 0],
         h=setup.h * like,
         P_s=setup.P_s * like,

@@ -10,7 +10,7 @@ from hydrojax.parameters import param
 from hydrojax.plant.effect import (
     ComplianceEffect,
     FlowEffect,
-    OrificeEffect,
+    LineEffect,
     SupplyEffect,
     VolumeEffect,
 )
@@ -69,14 +69,14 @@ class PressureCompensation(SupplyEffect):
         return available * jnp.where(available < 0, jnp.minimum(self.s, 1.0), taken)
 
 
-class Counterbalance(OrificeEffect):
+class Counterbalance(LineEffect):
     """Over-centre valve in the line of each chamber: throttles what leaves it.
 
-    It opens with the chamber's pressure and, `ratio` times, with the other line's: by
-    the share `s = (P_i + ratio P_j - P_set) / dP_full`. It stands in series with the
-    metering edge: outflow Q loses `k_i Q^2 / s^2` in it, none at `k_i = 0` (no valve in
-    the line of chamber i). What comes from the supply is free. The line's own volume
-    and the valve's lag are left out.
+    It opens with the chamber's pressure and, `ratio` times, with the other line's: to
+    the share `s = (P_i + ratio P_j - P_set) / dP_full`, which it reaches with the lag
+    `tau`. It stands in series with the metering edge: outflow Q loses `k_i Q^2 / s^2`
+    in it, none at `k_i = 0` (no valve in the line of chamber i). What comes from the
+    supply is free. The line's own volume is left out.
     """
 
     name = "counterbalance"
@@ -84,11 +84,11 @@ class Counterbalance(OrificeEffect):
     residual_axis = "P_a1 + P_a2"
     k_1: Float[Array, ""] = param(
         "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss when open, chamber 1", strength=True,
-        size=2e10, grid=(3e10, 3e11, 3e12),
+        size=2e13, grid=(3e10, 3e11, 3e12, 3e15),
     )  # fmt: skip
     k_2: Float[Array, ""] = param(
         "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss when open, chamber 2", strength=True,
-        size=2e10, grid=(3e10, 3e11, 3e12),
+        size=2e13, grid=(3e10, 3e11, 3e12, 3e15),
     )  # fmt: skip
     P_set: Float[Array, ""] = param(
         "Pa", 1.5e7, 2e6, 4e7, "setting", grid=(8e6, 1.5e7, 2.5e7)
@@ -97,17 +97,31 @@ class Counterbalance(OrificeEffect):
     dP_full: Float[Array, ""] = param(
         "Pa", 1.5e7, 5e5, 6e7, "pressure from shut to open", prior=1e7
     )
+    tau: Float[Array, ""] = param("s", 0.05, 1e-3, 0.5, "lag of the poppet", prior=0.1)
 
-    def outlet(self, at, out_1, out_2):
-        def passes(k, out, own, pilot):
-            share = (own + self.ratio * pilot - self.P_set) / self.dP_full
-            share = jnp.clip(share, SHUT, 1.0)
+    def _opens(self, own, pilot):
+        share = (own + self.ratio * pilot - self.P_set) / self.dP_full
+        return jnp.clip(share, SHUT, 1.0)
+
+    def init(self, P_1, P_2):
+        shares = self._opens(P_1, P_2), self._opens(P_2, P_1)
+        return shares, shares
+
+    def step(self, memory, P_1, P_2, h):
+        """Shares at the tick's end, and their means over the tick."""
+        goals, _ = self.init(P_1, P_2)
+        off = [s - goal for s, goal in zip(memory[0], goals, strict=True)]
+        fade = jnp.exp(-h / self.tau)
+        mean = (1 - fade) * self.tau / h
+        ends = tuple(goal + fade * o for goal, o in zip(goals, off, strict=True))
+        return ends, tuple(g + mean * o for g, o in zip(goals, off, strict=True))
+
+    def outlet(self, memory, out_1, out_2):
+        def passes(k, share, out):
             return out * share * jax.lax.rsqrt(share**2 + k * out**2)
 
-        return (
-            passes(self.k_1, out_1, at.P_a1, at.P_a2),
-            passes(self.k_2, out_2, at.P_a2, at.P_a1),
-        )
+        share_1, share_2 = memory[1]
+        return passes(self.k_1, share_1, out_1), passes(self.k_2, share_2, out_2)
 
 
 class InternalLeakage(FlowEffect):

@@ -17,6 +17,7 @@ def pressure_step(
     P: tuple[Float[Array, "*batch"], Float[Array, "*batch"]],
     opening: tuple[Float[Array, "*batch"], ...],
     inputs: StepInput,
+    line: tuple = (),
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """Both pressures over one tick, in n substeps of an exponential midpoint rule.
 
@@ -40,7 +41,7 @@ def pressure_step(
         p_s, p_r = (
             p[..., 0] + part * (p[..., 1] - p[..., 0]) for p in (inputs.P_s, inputs.P_r)
         )
-        return Point(P[0], P[1], p_s, p_r, opening, x=x, v=v)
+        return Point(P[0], P[1], p_s, p_r, opening, x, v, line)
 
     def substep(P, along):
         part, x_0, x_1, x_2 = along

@@ -10,6 +10,7 @@ log gives the same signals.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import Point, refilled
+from hydrojax.plant.chambers import refilled
 from hydrojax.plant.effect import CommandDelay
 from hydrojax.plant.friction import Sliding, run_linear
 from hydrojax.plant.hydraulics import pressure_step
@@ -47,7 +48,8 @@ class Windows(NamedTuple):
     """W windows of `lead + T` ticks, cut from S segments; SI.
 
     The first `lead` ticks let memories settle and are not compared. `before` [W, pre]
-    is the command that precedes, `before_h` its tick lengths. `u`, `h`, `P_s`, `P_r`,
+    is the command that precedes, `before_h` its tick lengths, `P_before` [W, pre, 2]
+    the pressures then. `u`, `h`, `P_s`, `P_r`,
     `t`, `x`, `v`, `a`, `F`, `P_a1`, `P_a2` are [W, lead+T], at the ticks; `h` is the
     tick that follows, `F` that of `Motion`. `x_fine` is [W, lead+T-1, 2n+1], `measured`
     [W, T, 3] (P_a1, P_a2, F), `seg` and `first` say where each window lies in its
@@ -58,6 +60,7 @@ class Windows(NamedTuple):
     first: Int[Array, "windows"]
     before: Float[Array, "windows pre"]
     before_h: Float[Array, "windows pre"]
+    P_before: Float[Array, "windows pre 2"]
     u: Float[Array, "windows n"]
     h: Float[Array, "windows n"]
     P_s: Float[Array, "windows n"]
@@ -217,10 +220,11 @@ def pressures(
 ) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
     """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa."""
 
-    def advance(P, at):
-        opening, inputs = at
-        P = pressure_step(rig, P, opening, inputs)
-        return P, (refilled(P[0]), refilled(P[1]))
+    def advance(carry, at):
+        (line, P), (opening, inputs) = carry, at
+        line = rig.line_step(line, refilled(P[0]), refilled(P[1]), inputs.h)
+        P = pressure_step(rig, P, opening, inputs, line)
+        return (line, P), (refilled(P[0]), refilled(P[1]))
 
     def ends(p):
         return jnp.stack([p[:, :-1], p[:, 1:]], axis=-1)
@@ -238,7 +242,8 @@ def pressures(
         F=ends(w.F) if rig.stretch else None,
     )
     inputs = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), inputs)
-    start = (P_0[:, 0], P_0[:, 1])
+    P = (P_0[:, 0], P_0[:, 1])
+    start = (lines_before(rig, w), P)
     _, (P_a1, P_a2) = jax.lax.scan(advance, start, (openings(rig, w), inputs))
     return (
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
@@ -246,40 +251,21 @@ def pressures(
     )
 
 
-def imbalance(
-    rig: Rig, w: Windows
-) -> tuple[Float[Array, "windows n-1"], Float[Array, "windows n-1"]]:
-    """What each chamber's flow balance lacks over every tick, at the measured
-    pressures, as a displacement of the piston, [W, lead+T-1] each; m.
+def follow_lines(rig: Rig) -> Callable:
+    """What stands in the lines over ticks (P_1, P_2, h), for a scan."""
 
-    Nothing is integrated but the command's path: `dP = h rate` is solved for the motion
-    at which it would hold (equation error; L. Ljung, System Identification, 1999,
-    section 7.2). What the measured pressures' noise brings into it biases a fit; what
-    the model lacks does not run on in it, as it does in a replay.
-    """
+    def follow(memory, tick):
+        memory = rig.line_step(memory, *tick)
+        return memory, memory
 
-    def middle(a):
-        return (a[:, :-1] + a[:, 1:]) / 2
+    return follow
 
-    h, n = w.h[:, :-1], w.x_fine.shape[-1]
-    at = Point(
-        refilled(middle(w.P_a1)),
-        refilled(middle(w.P_a2)),
-        middle(w.P_s),
-        middle(w.P_r),
-        tuple(o.T for o in openings(rig, w)),
-        x=w.x_fine[..., n // 2],
-        v=(w.x_fine[..., -1] - w.x_fine[..., 0]) / h,
-    )
-    rates, per_speed = jax.jvp(
-        lambda v: rig.pressure_rates(at._replace(v=v)), (at.v,), (jnp.ones_like(at.v),)
-    )
-    measured = (jnp.diff(w.P_a1, axis=1), jnp.diff(w.P_a2, axis=1))
-    one, two = (
-        (dP - h * rate) / slope
-        for dP, rate, slope in zip(measured, rates, per_speed, strict=True)
-    )
-    return one, two
+
+def lines_before(rig: Rig, w: Windows) -> tuple:
+    """What stands in the lines where the windows begin, by the measured pressures."""
+    P_1, P_2 = jnp.moveaxis(w.P_before, (2, 1), (0, 1))
+    start = rig.line_init(P_1[0], P_2[0])
+    return jax.lax.scan(follow_lines(rig), start, (P_1, P_2, w.before_h.T))[0]
 
 
 def _sense(

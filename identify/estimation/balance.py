@@ -24,7 +24,7 @@ from hydrojax.identify.estimation.misfit import filled
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.starts import placed, thinned
 from hydrojax.parameters import put
-from hydrojax.plant.replay import imbalance
+from hydrojax.plant.imbalance import imbalance
 
 Values = Float[np.ndarray, "n"]
 

@@ -101,15 +101,22 @@ def motion(segments: list[Segment], h: float) -> Motion:
     return Motion(*(jnp.asarray(np.array(a)) for a in (dx, ticks, speed, v, F)))
 
 
-def _past(s: Segment, first: int, pre: int) -> tuple[np.ndarray, np.ndarray]:
-    """The command ahead of a window, tick by tick, and its ticks, s.
+def _past(
+    s: Segment, first: int, pre: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The command ahead of a window, tick by tick, its ticks, s, and the pressures, Pa.
 
-    Ahead of the segment the command is taken to have stood where it began.
+    Ahead of the segment they are taken to have stood where they began.
     """
     have = min(pre, first)
     lack, usual = (pre - have, 0), float(s.t[first] - s.t[first - 1])
-    u, h = s.u[first - have : first], np.diff(s.t[first - have : first + 1])
-    return np.pad(u, lack, "edge"), np.pad(h, lack, constant_values=usual)
+    own = slice(first - have, first)
+    h = np.diff(s.t[first - have : first + 1])
+    return (
+        np.pad(s.u[own], lack, "edge"),
+        np.pad(h, lack, constant_values=usual),
+        np.pad(s.P[own], (lack, (0, 0)), "edge"),
+    )
 
 
 def cut(
@@ -138,12 +145,13 @@ def cut(
         near = slice(max(first - around, 0), first + around + 1)
         slope = np.polyfit(s.t[near] - t[0], s.P[near], 1)
         P_0.append(slope[1])
-        before, before_h = _past(s, first, pre)
+        before, before_h, P_before = _past(s, first, pre)
         row = {
             "seg": k,
             "first": first,
             "before": before,
             "before_h": before_h,
+            "P_before": P_before,
             "u": s.u[at],
             "h": h,
             "P_s": s.P_s[at],

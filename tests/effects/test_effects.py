@@ -44,6 +44,7 @@ ALL = (0, 1, 2)
 REACH = {
     "command": ALL,
     "orifice": ALL,
+    "line": ALL,
     "supply": ALL,
     "flow": ALL,
     "volume": ALL,

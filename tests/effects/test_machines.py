@@ -10,6 +10,7 @@ from scipy.signal import TransferFunction, lsim
 
 from hydrojax.effects import EFFECTS as KNOWN
 from hydrojax.plant.chambers import Point
+from hydrojax.plant.effect import InLine
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.rig import add, bare_rig
 
@@ -26,8 +27,10 @@ def point(P_1, P_2, u):
 
 
 def flows(effect, at):
+    """Flows into both chambers, at rest."""
     rig = add(bare_rig(LAYOUTS["differential"], GEOMETRY), [effect])
-    return np.array(rig.valve.flows(at, rig.supply, rig.orifice))
+    lines = [InLine(e, e.init(at.P_a1, at.P_a2)) for e in rig.line]
+    return np.array(rig.valve.flows(at, rig.supply, (*rig.orifice, *lines)))
 
 
 @pytest.mark.parametrize("s", [0.4, 1.0])
@@ -72,6 +75,26 @@ def test_a_counterbalance_valve_opens_by_its_pilot():
     lifted = flows(effect, point(1e6, 6e6, -0.5))
     assert lifted[1] == pytest.approx(C * 0.5 * np.sqrt(P_S - 6e6), rel=1e-5)
     assert lifted[0] == pytest.approx(-C * 0.5 * np.sqrt(1e6 - P_R), rel=1e-5)
+
+
+def test_a_counterbalance_valve_comes_late():
+    """Its poppet after a step of the pilot, and its mean over each tick, in closed
+    form.
+    """
+    tau, h = 0.08, 0.01
+    effect = EFFECTS["counterbalance"](
+        k_2=1e16, P_set=1.2e7, ratio=3.0, dP_full=9e6, tau=tau
+    )
+    memory = effect.init(np.float64(3e6), np.float64(6e6))
+    first, last = 1 / 3, 2 / 3
+    for i in range(20):
+        memory = effect.step(memory, np.float64(4e6), np.float64(6e6), h)
+        ends = np.array([i, i + 1]) * h
+        share = last + (first - last) * np.exp(-ends / tau)
+        # The integral of what falls off, over the tick.
+        mean = last + (first - last) * -np.diff(np.exp(-ends / tau))[0] * tau / h
+        assert float(memory[0][1]) == pytest.approx(share[1], rel=1e-12)
+        assert float(memory[1][1]) == pytest.approx(mean, rel=1e-12)
 
 
 @pytest.mark.parametrize(("omega", "zeta"), [(6.0, 0.8), (40.0, 0.5), (125.0, 0.95)])

@@ -670,7 +670,7 @@ def test_a_segment_that_begins_late_had_stood_still():
         log=0, origin=0.0, t=t, place=line, v=zero, a=zero, u=u, P_s=zero, P_r=zero,
         P=np.zeros((t.size, 2)), F=zero, smoothed=zero,
     )  # fmt: skip
-    before, h = windows._past(segment, 150, 260)
+    before, h, _ = windows._past(segment, 150, 260)
     assert before.size == h.size == 260
     assert np.allclose(h, 1e-3)
     reach = np.cumsum(h[::-1])[::-1] - h  # from a tick's end to the window

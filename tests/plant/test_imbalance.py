@@ -6,7 +6,8 @@ import pytest
 from scipy.integrate import quad
 
 from hydrojax.effects import EFFECTS
-from hydrojax.plant.replay import imbalance, openings
+from hydrojax.plant.imbalance import imbalance
+from hydrojax.plant.replay import openings
 from hydrojax.plant.rig import add
 from tests.conftest import CUT, GEOMETRY, REFERENCE, Wave
 
