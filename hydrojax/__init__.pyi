@@ -28,9 +28,9 @@ from .parameters import param as param
 from .plant.rig import Rig as Rig
 from .plant.valve import AbstractValve as AbstractValve
 from .rigfile.schema import RigFile as RigFile
+from .tune.aims import Limits as Limits
 from .tune.api import sweep as sweep
 from .tune.api import tune_gains as tune_gains
-from .tune.objective import Limits as Limits
 from .workflows.simulation import Simulation as Simulation
 from .workflows.simulation import simulate as simulate
 

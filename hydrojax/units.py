@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias, overload
 import numpy as np
 from jaxtyping import Num
 
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, one_line
+from hydrojax.limits import WORD
 
 if TYPE_CHECKING:
     import pint
@@ -26,11 +27,19 @@ _QUANTITY = re.compile(
 _TOLERANCE = re.compile(r"(.*?)\s*(?:\+/?-|±)\s*(.+)", re.DOTALL)
 
 
-_TOWER = re.compile(
-    r"(?:\*\*|\^)[\s(+-]*[\d.]+[\s)]*(?:\*\*|\^)|(?:\*\*|\^)[\s(+-]*\d\d"
+_POWER = re.compile(r"\*\*|\^|[⁰¹²³⁴-⁹]+")
+
+_EXPONENT = re.compile(
+    r"(?:(?:\*\*|\^)\s*(?:[+-]?(?:\d(?:\.\d)?|\.\d)"
+    r"|\(\s*[+-]?\d(?:\.\d)?(?:/\d)?\s*\))|[²³⁴-⁹])"
+    r"(?![\s)]*(?:\*\*|\^|[⁰¹²³⁴-⁹])|[\w.])"
 )
-"""Powers of powers, and powers of more than one digit: no unit has them, and pint would
-compute them for hours."""
+"""An exponent as units have it: a digit, a decimal, or a fraction in brackets, and not
+itself raised."""
+
+_FACTOR = re.compile(r"(?<![\w.])(?!1(?![\w.]))[\d.]+")
+"""A number other than 1, which no unit has beside its exponents: powers of numbers are
+what pint would compute for hours."""
 
 
 class _UnitError(ValueError):
@@ -52,12 +61,19 @@ def _factor(unit: str, want: str) -> float:
     if text.startswith("/"):
         text = f"1{text}"
     hint = "give it as a plain number" if want == "1" else f"give it in {want} or so"
-    shown = repr(unit if len(unit) < 40 else f"{unit[:40]}…")
-    if _TOWER.search(text):
+    shown = repr(one_line(unit, 40))
+    powers = [m.start() for m in _POWER.finditer(text[: WORD + 1])]
+    if (
+        len(text) > WORD
+        or not all(_EXPONENT.match(text, at) for at in powers)
+        or _FACTOR.search(_EXPONENT.sub("", text))
+    ):
         raise _UnitError(f"unknown unit {shown}; {hint}")
     try:
         parsed = registry.parse_units(text)
     except Exception as err:  # pint raises a dozen kinds on text that is no unit
+        near = _other_case(text, want)
+        hint = f"did you mean {near!r}?" if near else hint
         raise _UnitError(f"unknown unit {shown}; {hint}") from err
     if "rad" in want and "hertz" in str(parsed):
         raise _UnitError(
@@ -71,6 +87,21 @@ def _factor(unit: str, want: str) -> float:
     if zero != 0.0:  # decibel, degC: no factor makes them SI
         raise _UnitError(f"unit {shown} has no true zero; {hint}")
     return float(one)
+
+
+def _other_case(text: str, want: str) -> str:
+    """A unit that is spelled the same in other letters, "" if there is none."""
+    head, tail = text[:1], text[1:]
+    spellings = [head.upper() + tail.capitalize(), text.lower(), text.upper()]
+    spellings += [head.lower() + tail.upper(), head.lower() + tail.capitalize()]
+    registry = _registry()
+    for spelling in spellings:
+        try:
+            if registry.parse_units(spelling).is_compatible_with(want):
+                return spelling
+        except Exception:  # as above
+            continue
+    return ""
 
 
 def fits(unit: str, want: str) -> bool:
@@ -120,12 +151,13 @@ def split(text: object, where: str) -> tuple[float, str]:
         InputError: `text` is neither a finite number nor a string that opens with one.
     """
     if isinstance(text, (int, float)) and not isinstance(text, bool):
-        text = str(text)
-    match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
+        text = shown(text)
+    short = text if isinstance(text, str) and len(text) <= 2 * WORD else ""
+    match = _QUANTITY.fullmatch(short)
     if match is None or not math.isfinite(float(match[1])):
         raise InputError(
-            f"{where}: {text!r} is not a quantity; write a finite number and its unit, "
-            'such as "8e8 Pa"'
+            f"{where}: {shown(text)} is not a quantity; write a finite number and its "
+            'unit, such as "8e8 Pa"'
         )
     return float(match[1]), match[2]
 
@@ -148,11 +180,22 @@ def quantity(text: object, want: str, where: str) -> float:
     return to_si(value, unit or "1", want, where)
 
 
+def shown(value: object) -> str:
+    """A value as Python writes it, in one line and not too long."""
+    if isinstance(value, int) and value.bit_length() > 1024:
+        return "a whole number of more than 300 digits"
+    try:
+        return one_line(repr(value), WORD)
+    except (ValueError, RecursionError):  # such a number inside, or endless lists
+        return "a value that cannot be printed"
+
+
 def parted(text: object) -> tuple[object, str]:
     """A quantity without its tolerance, and the tolerance as written ("" without one):
     "1 mm +- 2 %" is "1 mm" and "2 %".
     """
-    match = _TOLERANCE.fullmatch(text) if isinstance(text, str) else None
+    short = text if isinstance(text, str) and len(text) <= 2 * WORD else ""
+    match = _TOLERANCE.fullmatch(short)
     return (match[1], match[2]) if match else (text, "")
 
 

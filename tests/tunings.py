@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from hydrojax.paper.records import reference
+from hydrojax.tune.aims import TOLERANCE, Following, Limits
 from hydrojax.tune.limiting import Relaxed
-from hydrojax.tune.objective import Limits
 from hydrojax.tune.optimize import Optimum
+from hydrojax.tune.proposal import Proposal
 from hydrojax.tune.result import Tuned
+from hydrojax.tune.verification import Tried
 
 SPEC, _ = reference()
 
@@ -25,13 +27,27 @@ def found(edge: float, stable: tuple[bool, ...]) -> dict[str, np.ndarray]:
     band = np.where(alive, edge * EDGES, np.nan)
     other = np.where(alive, [2.0, 2.5, 2.2], np.nan)
     names = ("minus_3dB", "lag_90", "peak", "gain_margin", "phase_margin", "rms",
-             "noise_F", "noise_u")  # fmt: skip
+             "noise_F", "noise_u", "sensitivity_moving")  # fmt: skip
     return {name: other for name in names} | {
         "within_1dB": band,
         "delay_margin": 1e-3 * other,
+        "largest_eigenvalue": np.where(alive, 0.9, 1.2),
         "radius": np.where(alive, 0.9, 1.2),
         "response": 1 / (1 + 1j * HERTZ / (edge * EDGES[:, None])),
     }
+
+
+def tried(edge: float, peak: float, stable: tuple[bool, ...]) -> Tried:
+    """Three plants in runs, whose bands end at `edge` Hz at least."""
+    alive, three = np.array(stable), np.ones(3)
+    band = edge * EDGES
+    none = np.zeros((7, 3), bool)
+    none[3] = ~alive
+    return Tried(
+        np.array([1.31, 3.2]), band, 2 * band, band / 2,
+        np.array([peak, peak + 1, peak]), 2 * three, np.where(alive, 9.0, 600.0),
+        9 * three, np.where(alive, 0.99, 1.02), 0.99 * three, none, ~(none | True),
+    )  # fmt: skip
 
 
 def tuned() -> Tuned:
@@ -43,18 +59,31 @@ def tuned() -> Tuned:
         start={"k_p": 1.2, "k_f": 2.4},
         before=found(16.0, (True, True, False)),
         after=found(32.0, (True, True, True)),
+        proposal=Proposal(
+            tried(16.0, 4.0, (True, True, False)),
+            replace(tried(32.0, 2.0, (True,) * 3), peak=np.array([2.0, 2.5, 2.0])),
+            (),
+            6,
+        ),  # fmt: skip
         hertz=HERTZ,
         optimum=Optimum(
             np.array([1.31, 3.2]),
             float(np.log(28.0)),
-            {"peak": 0.0, "sensitivity": 0.4, "tracking": -0.3},
-            (28.0, np.nan),
+            {"peak": 0.0, "noise": 0.4, "tracking": -0.3},
+            np.zeros((5, 4)),
         ),
         relaxed=(Relaxed("spool: ten times as fast", 38.0, 38 / 28 - 1),),
         plants="3 plants within 20 % of the rig in what it is made of",
         limits=Limits(),
+        aim=Following(),
+        tolerance=TOLERANCE,
+        amplitude=100.0,
+        edges=("k_f",),
         comparison=(
-            ("old gains", {"within_1dB_Hz": 16.3, "peak_dB": 11.6, "rms_N": 7.7}),
+            (
+                "old gains",
+                {"within_1dB_Hz": 16.3, "peak_dB": 11.6, "rms_moving_N": 7.7},
+            ),
         ),
         notes=("A note.",),
     )

@@ -5,31 +5,37 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike
 
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import ensure_jax
-from hydrojax.rigfile.quantities import Quantity
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import sweep as sweeps
 from hydrojax.tune.accessor import Swept as Swept  # so that `data.hydrojax` is known
-from hydrojax.tune.adaptation import tune_adaptation
+from hydrojax.tune.aims import Aim, Limits
 from hydrojax.tune.axes import make_axes
 from hydrojax.tune.comparison import compare_models, notes
-from hydrojax.tune.ensemble import SPREAD, Plants, ensemble
+from hydrojax.tune.ensemble import SPREAD, Plants, ensemble, with_unsaid
 from hydrojax.tune.findings import Findings
-from hydrojax.tune.free import adaptable, default_free, find_gain
-from hydrojax.tune.limiting import what_limits, with_valve
-from hydrojax.tune.objective import Limits, Objective
-from hydrojax.tune.optimize import find_gains
+from hydrojax.tune.free import default_free, find_gain
+from hydrojax.tune.limiting import what_limits
+from hydrojax.tune.objective import Objective
+from hydrojax.tune.optimize import optimize_gains
 from hydrojax.tune.plan import METHODS, Plan, with_excitations
+from hydrojax.tune.proposal import edges, propose, tolerance_of, try_before
 from hydrojax.tune.result import Tuned
 from hydrojax.tune.setup import make_plants, open_rig, rig_file
+from hydrojax.tune.verification import cap
 
 PLANTS = 8
 """Plants of a tuning's ensemble by default."""
+
+VALVE = ("valve_lag.tau", "valve_delay.tau_u")
+"""Quantities of effects that every tuned rig has, if only at zero."""
+
+STARTS = 2
+"""Descents of a tuning by default."""
 
 
 def sweep(
@@ -123,24 +129,29 @@ def tune_gains(
     free: Sequence[str] = (),
     limits: Limits | None = None,
     *,
+    aim: Aim | None = None,
     at: Mapping[str, float | str] | None = None,
-    adaptation: bool = False,
     plants: int = PLANTS,
     spread: float = SPREAD,
     findings: str | Path | None = None,
-    starts: int = 3,
+    starts: int = STARTS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Tuned:
-    """Find the gains that give the widest bandwidth on every plant of an ensemble.
+    """Find the gains with which F follows F_d best on every plant of an ensemble.
+
+    What the descents find is tried in simulated runs on all plants, the adaptation at
+    work: joint locked and moving, steps, two amplitudes. Gains that oscillate,
+    saturate or track worse than those before are not proposed.
 
     Args:
         rig: a rig file, or its path.
-        free: names of the gains to tune; if none, `k_p`, `k_f`, `k_1`, and `A_a` where
-            a load moves: how much of the velocity is fed forward damps it, or drives
-            it.
+        free: names of the gains to tune; if none, `k_p`, `k_f`, `k_1`, the rates of
+            adaptation, and `A_a` where a load moves: how much of the velocity is fed
+            forward damps it, or drives it. The rates of friction change together.
         limits: what must be kept; `Limits()` if None.
-        at: values of other quantities: the operating point.
-        adaptation: whether rates and bounds of the adaptation are tuned afterwards.
+        aim: what is made as large as it can be; `Following()` if None.
+        at: values of other quantities: the operating point, and `amplitude`, at which
+            bands are promised.
         plants: size of the ensemble, the rig among them.
         spread: relative half-width of the ensemble.
         findings: folder of `identify` or `trace`: its plant and its uncertainty are
@@ -149,7 +160,8 @@ def tune_gains(
         progress: called with a line of text at each stage.
 
     Returns:
-        The gains, what they give, and what limits them.
+        The gains, what they give, and what limits them; or the gains as they were, and
+        what stands in the way (`Tuned.obstacles`).
 
     Raises:
         InputError: an unknown name, or a value that its quantity cannot take.
@@ -158,49 +170,60 @@ def tune_gains(
     progress("read the rig")
     file = rig_file(rig)
     found = Findings.load(findings) if findings else None
-    setting, known = open_rig(file, None, at, free, found)
+    setting, known = open_rig(file, None, at, (*free, *VALVE), found)
     names = tuple(free) or default_free(setting)
     chosen = [find_gain(known, name) for name in names]
     drawn_from = found if found and found.fitted else None
     those = make_plants(setting, plants, spread, drawn_from) or ensemble(setting, 1)
-    limits = limits or Limits()
+    given = {*file.effects, *file.parameters, *_named(at or {})}
+    given |= {*found.effects, *found.absent, *found.parameters} if found else set()
+    those = with_unsaid(setting, those, given)
     progress("compile the loop")
-    objective = Objective(setting, chosen, with_valve(setting, those), limits)
-    rates = adaptable(known, setting) if adaptation else []
-    return _tuned(file, objective, those, found, rates, starts, progress)
+    objective = Objective(setting, chosen, those, limits or Limits(), aim)
+    return _tuned(file, objective, those, found, given, starts, progress)
+
+
+def _named(at: Mapping[str, float | str]) -> set[str]:
+    """What values of quantities say of effects and parameters."""
+    return {name.partition(".")[0] for name in at}
 
 
 def _tuned(
     file: RigFile, objective: Objective, plants: Plants, findings: Findings | None,
-    rates: list[Quantity], starts: int, progress: Callable[[str], None],
+    given: set[str], starts: int, progress: Callable[[str], None],
 ) -> Tuned:  # fmt: skip
-    """The gains of an objective, and `rates` of the adaptation after them."""
-    chosen, setting = objective.free, objective.setting
-    optimum, objective, dropped = find_gains(objective, starts, progress)
-    after = objective.evaluate(optimum.gains)
+    """What is proposed for an objective."""
+    chosen, start = objective.free, objective.initial()
+    most = cap(objective, {"valve_lag", "valve_delay"} <= given)
+    progress("try the present gains in runs")
+    before = try_before(objective, most)
+    objective.sound = before.sound
+    optimum = optimize_gains(objective, starts, progress=progress)
+    proposal = propose(objective, optimum, before, most, progress)
+    gains = proposal.after.gains
+    after = objective.evaluate(gains) if proposal.found else objective.before
     relaxed = what_limits(objective, optimum, progress)
-    gains = dict(zip(chosen, map(float, optimum.gains), strict=True))
-    if rates:
-        values, after["rms"] = tune_adaptation(
-            objective, rates, optimum.gains, progress
-        )
-        gains |= dict(zip(rates, map(float, values), strict=True))
     comparison = ()
     if findings and findings.effects:
         progress("compare with the old model")
-        comparison = compare_models(file, findings, objective, optimum, plants, after)
+        comparison = compare_models(findings, objective, gains, after)
     return Tuned(
         file,
-        {q.name: value for q, value in gains.items()},
-        {q.name: q.unit for q in gains},
-        {q.name: float(q.get(setting)) for q in gains},
+        {q.name: float(g) for q, g in zip(chosen, gains, strict=True)},
+        {q.name: q.unit for q in chosen},
+        {q.name: float(g) for q, g in zip(chosen, start, strict=True)},
         objective.before,
         after,
-        np.asarray(objective.hertz),
+        proposal,
+        objective.hertz,
         optimum,
         relaxed,
         plants.description,
         objective.limits,
+        objective.aim,
+        tolerance_of(objective),
+        float(objective.setting.amplitude),
+        edges(objective, gains, optimum),
         comparison,
-        (*dropped, *notes(objective, after)),
+        notes(objective, after, most),
     )

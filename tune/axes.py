@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from hydrojax.errors import InputError
+from hydrojax.limits import CELLS
 from hydrojax.rigfile.quantities import Quantity, find
 
 MAX_AXES = 4
@@ -53,6 +55,11 @@ def make_axes(
         if len(set(values)) < len(values) or not values:
             raise InputError(f"axis {name}: expected values that differ, at least one")
         out.append(Axis(quantity, np.array(values)))
+    cells = math.prod(axis.values.size for axis in out)
+    if cells > CELLS:
+        raise InputError(
+            f"axes: {cells} cells are more than {CELLS}; take fewer values"
+        )
     return out
 
 

@@ -2,90 +2,75 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.parameters import get, parameter_specs, put
+from hydrojax.parameters import parameter_specs, put
 from hydrojax.plant.load import Inertia
-from hydrojax.rigfile.build import build_rig
-from hydrojax.rigfile.schema import RigFile
-from hydrojax.tune.ensemble import Plants
 from hydrojax.tune.findings import Findings
 from hydrojax.tune.metrics import rig_metrics
 from hydrojax.tune.objective import Objective
-from hydrojax.tune.optimize import Optimum
 
 Metrics = dict[str, Float[np.ndarray, "plants *rest"]]
 """Metrics of every plant by name, as `Objective.evaluate` gives them."""
 
 
 def compare_models(
-    file: RigFile, findings: Findings, objective: Objective, optimum: Optimum,
-    plants: Plants, after: Metrics,
+    findings: Findings, objective: Objective, gains: Float[np.ndarray, "gains"],
+    after: Metrics,
 ) -> tuple[tuple[str, dict[str, float | None]], ...]:  # fmt: skip
     """The rig's own metrics without and with the effects that trace added.
 
     Args:
-        file: the rig file, with the effects or without.
         findings: that name the effects.
         objective: of the model with them.
-        optimum: the gains found.
-        plants: the ensemble.
+        gains: the gains found.
         after: metrics of the model with them, with those gains.
 
     Returns:
         A title and the metrics, for each model with the gains before and after.
     """
-    named = findings.effects
-    old_file = replace(
-        file, effects={n: e for n, e in file.effects.items() if n not in named}
-    )
-    rig = build_rig(old_file)
-    here = objective.at(None)
-    names = list(parameter_specs(rig))
-    rig = put(rig, names, get(here.loop.rig, names))
-    old = eqx.tree_at(lambda s: s.loop.rig, here, rig)
-    only = [i for i, n in enumerate(plants.names) if n in names]
-    few = Plants(
-        tuple(plants.names[i] for i in only),
-        plants.values[:1, only],
-        plants.description,
-    )
-    other = Objective(old, objective.free, few, objective.limits)
+    named, rig = findings.effects, objective.setting.loop.rig
+    gone = [
+        n
+        for n, spec in parameter_specs(rig).items()
+        if spec.strength and n.partition(".")[0] in named
+    ]
+    rig = put(rig, gone, np.zeros(len(gone))) if gone else rig
+    values = objective.values[:1].copy()
+    values[:, [i for i, n in enumerate(objective.names) if n in gone]] = 0.0
+    old = eqx.tree_at(lambda s: s.loop.rig, objective.setting, rig)
+    other = objective.relaxed(setting=old, values=values)
     added = ", ".join(n.replace("_", " ") for n in named)
+    was = rig_metrics(other.evaluate(objective.initial()))
     return (
-        (f"old model (without {added}), gains before", rig_metrics(other.before)),
+        (f"old model (without {added}), gains before", was),
         ("new model, gains before", rig_metrics(objective.before)),
-        ("old model, gains after", rig_metrics(other.evaluate(optimum.gains))),
+        ("old model, gains after", rig_metrics(other.evaluate(gains))),
         ("new model, gains after", rig_metrics(after)),
     )
 
 
-def notes(objective: Objective, after: Metrics) -> tuple[str, ...]:
+def notes(objective: Objective, after: Metrics, most: float) -> tuple[str, ...]:
     """Remarks that a reader of the tuning needs."""
     return (
         *_instability(objective),
         *_resonance(objective, after),
-        *_rest(objective, after),
+        *_rest(objective, after, most),
     )
 
 
 def _instability(objective: Objective) -> list[str]:
-    before, out = objective.before, []
-    if not np.isfinite(before["peak"]).all():
-        out.append("With the gains before, some plants of the ensemble are unstable.")
-    rms = before["rms"]
-    if np.max(rms) > 5 * rms[0]:
-        out.append(
-            f"With the gains before, tracking on one plant is {np.max(rms):.0f} N, "
-            f"the rig's own {rms[0]:.1f} N: with the joint moving its loop is at or "
-            "beyond the stability limit, which a loop linearised at rest does not show."
-        )
-    return out
+    largest = objective.before["largest_eigenvalue"]
+    if np.all(largest < 1):
+        return []
+    return [
+        f"With the gains before, {int(np.sum(largest >= 1))} of {largest.size} plants "
+        f"are unstable, joint at rest or moving: largest eigenvalue "
+        f"{largest.max():.4f}."
+    ]
 
 
 def _resonance(objective: Objective, after: Metrics) -> list[str]:
@@ -104,16 +89,15 @@ def _resonance(objective: Objective, after: Metrics) -> list[str]:
     ]
 
 
-def _rest(objective: Objective, after: Metrics) -> list[str]:
-    out = []
+def _rest(objective: Objective, after: Metrics, most: float) -> list[str]:
+    out, rate = [], float(1 / objective.setting.loop.h)
+    if most < 0.4 * rate:
+        out.append(
+            f"No band beyond {most:g} Hz, a tenth of the sampling rate, is promised: "
+            "the rig file does not give both valve_lag and valve_delay."
+        )
     if not float(jnp.sum(objective.setting.loop.sensors.F)):
         out.append(
             "The rig file gives no noise of F: the tuning is not limited by noise."
-        )
-    wide = np.asarray(after["within_1dB"])
-    if np.max(wide) > 1.8 * np.min(wide):
-        out.append(
-            f"Within 1 dB up to {wide[0]:.1f} Hz on the rig itself: the worst plant of "
-            "the ensemble limits the guaranteed bandwidth."
         )
     return out

@@ -13,6 +13,7 @@ import xarray as xr
 from jaxtyping import Shaped
 
 from hydrojax import __version__, units
+from hydrojax.report.files import DRAFT
 from hydrojax.tune import measure, metrics
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ def _add(
 
 def save_dataset(data: xr.Dataset, path: Path) -> None:
     """Write NetCDF, whole or not at all."""
-    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=DRAFT) as folder:
         draft = Path(folder) / path.name
         data.to_netcdf(draft, engine="h5netcdf")
         os.replace(draft, path)

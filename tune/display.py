@@ -8,36 +8,52 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hydrojax.report import markup
-from hydrojax.tune.metrics import maximum, minimum
+from hydrojax.report.text import in_picture
 from hydrojax.tune.optimize import TIGHT
 from hydrojax.tune.tuning import Tuning
+from hydrojax.tune.verification import PEAK_SLACK
 
 _BEFORE, _AFTER = "#b2382e", "#1f4e9c"
 
+MEASURED = (
+    ("Follows", "follows_to", "Hz", min),
+    ("Within 1 dB", "within_1dB", "Hz", min),
+    ("Lag of 90°", "lag_90", "Hz", min),
+    ("Peak", "peak", "dB", max),
+    ("Error locked, RMS", "rms", "N", max),
+    ("Error moving, RMS", "rms_moving", "N", max),
+    ("Largest eigenvalue", "eigenvalue", "", max),
+)
+"""What runs show: title, field of `Tried`, unit, which plant is the worst."""
+
 ROWS = (
-    ("Within 1 dB", "within_1dB", "Hz", 1.0, min),
-    ("Down by 3 dB", "minus_3dB", "Hz", 1.0, min),
-    ("Lag of 90°", "lag_90", "Hz", 1.0, min),
-    ("Peak", "peak", "dB", 1.0, max),
     ("Gain margin", "gain_margin", "dB", 1.0, min),
     ("Phase margin", "phase_margin", "°", 1.0, min),
     ("Delay margin", "delay_margin", "ms", 1e3, min),
-    ("Tracking, RMS", "rms", "N", 1.0, max),
+    ("Sensitivity while moving", "sensitivity_moving", "dB", 1.0, max),
     ("Force due to sensor noise, RMS", "noise_F", "N", 1.0, max),
     ("Command due to sensor noise, RMS", "noise_u", "V", 1.0, max),
 )
+"""What the linearised loop shows."""
 
 
 def show(value: Any, unit: str) -> str:
     """A number with its unit; a dash for none."""
     if value is None or not np.isfinite(value):
         return "–"
-    return f"{value:.3g} {unit}".replace("-", "−")
+    digits = ".5g" if not unit else ".3g"
+    return f"{value:{digits}} {unit}".replace("-", "−").rstrip()
 
 
 def metrics_table(t: Tuning) -> list[tuple[str, ...]]:
     """Before and after, the rig's and the worst plant's."""
     out = []
+    for title, name, unit, worst in MEASURED:
+        cells = []
+        for tried in (t.proposal.before, t.proposal.after):
+            values = getattr(tried, name)
+            cells += [show(values[0], unit), show(worst(values), unit)]
+        out.append((title, *cells))
     for title, name, unit, factor, worst in ROWS:
         cells = []
         for found in (t.before, t.after):
@@ -51,19 +67,35 @@ def metrics_table(t: Tuning) -> list[tuple[str, ...]]:
 
 
 def sentence(t: Tuning) -> str:
-    """The result in one line."""
-    was, now = (minimum(f["within_1dB"]) for f in (t.before, t.after))
-    if not now:
-        return "No gains were found at which every plant of the ensemble is stable."
-    peaks = [maximum(f["peak"]) for f in (t.before, t.after)]
-    said = f"Within 1 dB up to {now:.1f} Hz for every plant"
-    if was:
-        said += f", {now / was:.2f} times the {was:.1f} Hz before"
-    said += f"; peak at most {peaks[1]:.1f} dB"
-    if peaks[0] is not None:
-        said += f", {peaks[0]:.1f} before"
-    broken = [n for n, s in t.optimum.slack.items() if s < -0.02]
-    return said + (f". Not kept: {', '.join(broken)}." if broken else ".")
+    """The result in a few sentences: band, peak, phase, tracking, the worst plant."""
+    was, now = t.proposal.before, t.proposal.after
+    count = now.follows_to.size
+    if t.obstacles:
+        return (
+            f"No gains are proposed: of {t.proposal.tried} tried, none holds in the "
+            f"runs on all {count} plants. In the way of the best: "
+            f"{'; '.join(t.obstacles)}."
+        )
+    small, size = t.amplitudes
+    said = (
+        f"At {small:.3g} and {size:.3g} N, F follows F_d (|1 − F/F_d| at most "
+        f"{t.tolerance:g}) up to {now.follows_to.min():.1f} Hz on the worst of {count} "
+        f"plants, {was.follows_to.min():.1f} before: within 1 dB up to "
+        f"{now.within_1dB.min():.1f} Hz ({was.within_1dB.min():.1f}), lag of 90° at "
+        f"{now.lag_90.min():.1f} Hz ({was.lag_90.min():.1f}), peak "
+        f"{now.peak.max():.1f} dB ({was.peak.max():.1f}). With the joint moving it "
+        f"tracks to {now.rms_moving[0]:.3g} N RMS on the rig itself "
+        f"({was.rms_moving[0]:.3g} before) and {now.rms_moving.max():.3g} N on the "
+        f"worst plant ({was.rms_moving.max():.3g})."
+    )
+    if now.peak.max() > t.limits.peak_dB + PEAK_SLACK:
+        said += f" The limit of {t.limits.peak_dB:g} dB on the peak is not kept."
+    if not was.sound:
+        bad = (was.eigenvalue >= 1) | was.oscillates.any(0)
+        said += f" Before, {int(bad.sum())} of {count} plants oscillate."
+    if t.edges:
+        said += f" At an end of the range that was searched: {', '.join(t.edges)}."
+    return said.replace("-", "−")
 
 
 def summary(t: Tuning) -> str:
@@ -97,6 +129,8 @@ def _columns(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 def limit(t: Tuning) -> str:
     """What limits the loop most, in words."""
     gains = [r for r in t.relaxed if r.gain > 0.03]
+    if not t.relaxed:
+        return "No limit was examined."
     if not gains:
         return "Relaxing any single limit widens the band by at most 3 %."
     top = gains[0]
@@ -142,7 +176,7 @@ def bode_figure(t: Tuning) -> Figure:
         ax.set_xlim(0.5, 200)
         ax.grid(alpha=0.3)
     top.legend()
-    top.set_title(f"{t.name}: linearised, adaptation frozen", fontsize=10)
+    top.set_title(f"{in_picture(t.name)}: linearised, adaptation live", fontsize=10)
     return fig
 
 
@@ -152,13 +186,30 @@ def limits_figure(t: Tuning) -> Figure:
     ax = fig.subplots()
     names = [r.what for r in t.relaxed][::-1]
     ax.barh(names, [r.band for r in t.relaxed][::-1], color=_AFTER, alpha=0.75)
-    now = minimum(t.after["within_1dB"])
+    first = t.relaxed[0]
+    now = first.band / (1 + first.gain)
     ax.axvline(now, color="black", lw=1.2, label=f"now {now:.1f} Hz")
-    was = minimum(t.before["within_1dB"])
-    ax.axvline(was, color=_BEFORE, lw=1.2, ls="--", label=f"before {was:.1f} Hz")
-    ax.set_xlabel("within 1 dB up to, worst plant (Hz)")
+    ax.set_xlabel("smooth band of the worst plant, linearised (Hz)")
     ax.legend(loc="lower right", fontsize=8)
     ax.grid(alpha=0.3, axis="x")
+    return fig
+
+
+def front_figure(t: Tuning) -> Figure:
+    """Aim against tracking, peak and noise of all stable gains; the chosen point.
+
+    Each is shown as what is left to its limit: above 0 it is kept.
+    """
+    fig = Figure(figsize=(9.0, 3.2), layout="constrained")
+    seen, here = t.optimum.seen, (t.optimum.score, t.optimum.slack)
+    for ax, name in zip(fig.subplots(1, 3), ("tracking", "peak", "noise"), strict=True):
+        i = 1 + list(t.optimum.slack).index(name)
+        ax.plot(np.exp(seen[:, 0]), seen[:, i], ".", color=_BEFORE, ms=4, alpha=0.5)
+        ax.plot(np.exp(here[0]), here[1][name], "o", color=_AFTER, label="chosen")
+        ax.axhline(0, color="black", lw=0.8)
+        ax.set_title(f"{name}: left to its limit", fontsize=9)
+        ax.set_xlabel("aim, worst plant, linearised")
+        ax.grid(alpha=0.3)
     return fig
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hydrojax.control.adaptive import Law
+from hydrojax.control.base import RATES
 from hydrojax.errors import InputError
 from hydrojax.plant.load import Inertia
 from hydrojax.rigfile.quantities import Quantity, Setting, declared_gains, find
@@ -13,21 +14,23 @@ FREE = ("k_p", "k_f", "k_1")
 """What is tuned by default: both gains, and how much of the desired
 force's rate is fed forward."""
 
-ADAPTATION = ("rho_a", "c_1", "c_2", "c_3", "A_a_lower", "A_a_upper")
-"""What is tuned beside them with `--adaptation`, as far as the rig adapts it."""
-
 
 def default_free(setting: Setting) -> tuple[str, ...]:
     """What is tuned where nothing is named.
 
-    Of the paper's law `FREE`, and `A_a` where a load moves; of another controller all
-    that it declares but the saturation.
+    Of the paper's law `FREE`, `A_a` where a load moves, and the rates of adaptation
+    that are above 0; of another controller all that it declares but the saturation.
     """
     if not isinstance(setting.loop.law, Law):
         known = declared_gains(setting)
         return tuple(name for name, field in known.items() if field != "u_max")
     moves = isinstance(setting.loop.load, Inertia)
-    return (*FREE, "A_a") if moves else FREE
+    rates = [
+        name
+        for name, rate in zip(RATES, setting.loop.law.rate, strict=True)
+        if float(rate) > 0
+    ]
+    return (*FREE, *(("A_a",) if moves else ()), *rates)
 
 
 def find_gain(known: Mapping[str, Quantity], name: str) -> Quantity:
@@ -41,11 +44,3 @@ def find_gain(known: Mapping[str, Quantity], name: str) -> Quantity:
         gains = ", ".join(q.name for q in known.values() if q.gain)
         raise InputError(f"invalid gain {name!r}: expected one of {gains}")
     return quantity
-
-
-def adaptable(known: Mapping[str, Quantity], setting: Setting) -> list[Quantity]:
-    """The quantities of the adaptation that are above 0."""
-    if not isinstance(setting.loop.law, Law):
-        return []
-    chosen = [known[n] for n in ADAPTATION]
-    return [q for q in chosen if float(q.get(setting)) > 0]

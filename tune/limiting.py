@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import equinox as eqx
 import numpy as np
 
-from hydrojax.parameters import get, parameter_specs
-from hydrojax.rigfile.quantities import Setting
-from hydrojax.tune.ensemble import Plants
-from hydrojax.tune.metrics import minimum
+from hydrojax.tune.aims import Following, Magnitude
 from hydrojax.tune.objective import Objective
 from hydrojax.tune.optimize import Optimum, optimize_gains
+
+ITERATIONS = 5
+"""Of the descent without one of the limits, which starts from the tuned loop."""
 
 
 @dataclass(frozen=True)
@@ -22,30 +22,13 @@ class Relaxed:
 
     Attributes:
         what: the limit that was taken away.
-        band: within 1 dB, of the worst plant, Hz.
+        band: of the aim, of the worst plant, Hz.
         gain: of the band, relative to the tuned loop's.
     """
 
     what: str
     band: float
     gain: float
-
-
-def with_valve(setting: Setting, plants: Plants) -> Plants:
-    """The plants with the spool's lag and the delay among their parameters.
-
-    So that both can be relaxed without compiling anew.
-    """
-    known = parameter_specs(setting.loop.rig)
-    more = [
-        n for n in ("valve_lag.tau", "valve_delay.tau_u")
-        if n in known and n not in plants.names
-    ]  # fmt: skip
-    if not more:
-        return plants
-    here = np.asarray(get(setting.loop.rig, more))
-    values = np.hstack([plants.values, np.tile(here, (len(plants.values), 1))])
-    return Plants((*plants.names, *more), values, plants.description)
 
 
 def what_limits(
@@ -58,16 +41,17 @@ def what_limits(
         optimum: the gains found.
         progress: called with a line of text at each stage.
     """
-    base = minimum(objective.evaluate(optimum.gains)["within_1dB"])
-    out = []
-    for what, case in _cases(objective).items():
+    if not isinstance(objective.aim, (Following, Magnitude)):
+        return ()
+    near, out = objective.without_runs(optimum.gains), []
+    base = near.scores(optimum.gains)[0][0]
+    for what, case in _cases(near).items():
         progress(f"what limits it: {what}")
-        other = optimize_gains(case, 1, begin=optimum.gains)
-        band = minimum(case.evaluate(other.gains)["within_1dB"])
-        if not other.kept:
-            # The descent came to nothing: what the same gains give is a lower bound.
-            band = max(base, minimum(case.evaluate(optimum.gains)["within_1dB"]))
-        out.append(Relaxed(what, band, band / base - 1 if base else np.nan))
+        other = optimize_gains(case, 1, begin=optimum.gains, iterations=ITERATIONS)
+        # The descent may come to nothing: the same gains give a lower bound.
+        score = other.score if other.kept else case.scores(optimum.gains)[0][0]
+        score = max(base, score)
+        out.append(Relaxed(what, float(np.exp(score)), float(np.exp(score - base)) - 1))
     return tuple(sorted(out, key=lambda r: -r.gain))
 
 
@@ -82,7 +66,11 @@ def _cases(objective: Objective) -> dict[str, Objective]:
             limits=replace(keep, peak_dB=keep.peak_dB + 3)
         ),
         "margins: 3 dB less": objective.relaxed(
-            limits=replace(keep, sensitivity_dB=keep.sensitivity_dB + 3)
+            limits=replace(
+                keep,
+                sensitivity_dB=keep.sensitivity_dB + 3,
+                moving_dB=keep.moving_dB + 3,
+            )
         ),
         "sensor noise: none": objective.relaxed(limits=replace(keep, noise=1e3)),
         "tracking and rejection: not required": objective.relaxed(

@@ -2,7 +2,10 @@
 
 The Jacobian of the loop's own step, from the desired force of one sample to the output
 force of the next: the hold, the delay's queue, the spool, filters and sensors are in
-it because they are in the step. Adaptation is frozen (`operating_point.frozen`).
+it because they are in the step. `system` freezes the adaptation
+(`operating_point.frozen`): the response to a force that is small and short. With it
+live (`live_system`) the estimates are states: integral action, which can make a loop
+oscillate that is stable without it.
 
 At rest three things have a corner: the valve's lands and the law's inverse of them at
 u = 0, and presliding at F = 0. The Jacobian is the mean of those on both sides, the
@@ -35,6 +38,10 @@ OUTPUTS = ("F", "u")
 
 NUDGE = 1e-6
 """Distance from a corner at which its sides are evaluated, as a share of u_max."""
+
+STAYS = 1e-4
+"""Distance from 1 within which a live loop's eigenvalue is that of what stays put: a
+growth or decay over more than ten thousand samples."""
 
 
 class Tapped(AbstractController):
@@ -108,7 +115,7 @@ def _jacobian(
         states = States(every, every)
     index, group = np.array(states.at), np.array(states.group)
     lead = index[[states.group.index(g) for g in range(max(states.group) + 1)]]
-    loop = operating_point.frozen(setting.loop)
+    loop = setting.loop
 
     def advance(off, i):
         noise = jnp.stack([i[2], i[3], jnp.zeros_like(i[4]), i[4]])
@@ -128,7 +135,13 @@ def _jacobian(
 
 
 def system(setting: Setting, carry: Any, states: States | None = None) -> System:
-    """The loop's linear system.
+    """The loop's linear system with its adaptation frozen; see `live_system`."""
+    held = eqx.tree_at(lambda s: s.loop, setting, operating_point.frozen(setting.loop))
+    return live_system(held, carry, states)
+
+
+def live_system(setting: Setting, carry: Any, states: States | None = None) -> System:
+    """The loop's linear system, its adaptation at work.
 
     Args:
         setting: the loop and its point.
@@ -184,6 +197,36 @@ def frequency_response(
         return s.C @ jnp.linalg.solve(z * jnp.eye(n) - s.A, s.B.astype(complex)) + s.D
 
     return jax.vmap(one)(z)
+
+
+def responses(
+    s: System, hertz: Float[np.ndarray, "lines"]
+) -> Complex[np.ndarray, "rows lines 2 5"]:
+    """`frequency_response` of stacked systems of NumPy arrays: nothing is compiled."""
+    z = np.exp(2j * np.pi * hertz * s.h[:, None])
+    away = z[..., None, None] * np.eye(s.A.shape[-1]) - s.A[:, None]
+    inside = np.linalg.solve(away, s.B[:, None].astype(complex))
+    return np.asarray(s.C)[:, None] @ inside + np.asarray(s.D)[:, None]
+
+
+def reduced(s: System, states: States) -> System:
+    """Stacked full systems, of NumPy arrays, on these states alone."""
+    at, group = np.array(states.at), np.array(states.group)
+    lead = at[np.unique(group, return_index=True)[1]]
+    put = np.eye(lead.size)[group]  # each state's column goes to its group's
+    return System(
+        s.A[:, lead][:, :, at] @ put, s.B[:, lead], s.C[:, :, at] @ put, s.D, s.h
+    )
+
+
+def largest_eigenvalue(s: System) -> Float[np.ndarray, "rows"]:
+    """The largest |eigenvalue| of stacked live systems but those of what stays put.
+
+    Estimates that nothing distinguishes, such as the Coulomb level and the offset at a
+    constant speed, stay put together: eigenvalues of 1 that rounding spreads.
+    """
+    values = np.linalg.eigvals(s.A)
+    return np.max(np.where(np.abs(values - 1) < STAYS, 0.0, np.abs(values)), axis=-1)
 
 
 def radius(s: System) -> Float[Array, ""]:

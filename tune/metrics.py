@@ -44,6 +44,11 @@ def dB(H: Complex[Array, "*batch"]) -> Float[Array, "*batch"]:
     return 10 * jnp.log10(jnp.real(H) ** 2 + jnp.imag(H) ** 2 + 1e-30)
 
 
+def decibels(H: Complex[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
+    """`dB` of NumPy arrays."""
+    return 10 * np.log10(np.abs(H) ** 2 + 1e-30)
+
+
 def first(
     hertz: Float[Array, "lines"], inside: Float[Array, "lines"]
 ) -> Float[Array, ""]:
@@ -70,17 +75,6 @@ def band_within(
     """
     inside = most - jnp.abs(dB(H))
     return jnp.where(inside[0] < 0, 0.0, first(hertz, inside))
-
-
-def soft_inside(
-    H: Complex[Array, "lines"], most: float | Float[Array, ""], width: float
-) -> Float[Array, "lines"]:
-    """How well |H| has been within `most` dB up to each frequency, 1 to 0.
-
-    `width` (dB) is over how much "within" fades.
-    """
-    inside = (most - jnp.abs(dB(H))) / width
-    return jnp.exp(jnp.cumsum(-jnp.logaddexp(0.0, -inside)))
 
 
 def unwrapped(H: Complex[Array, "lines"]) -> Float[Array, "lines"]:
@@ -162,33 +156,17 @@ def finite_or_none(value: Any) -> Any:
     return float(value) if np.isfinite(value) else None
 
 
-def minimum(values: Float[np.ndarray, "plants"]) -> float:
-    """The smallest bandwidth: that of an unstable plant is 0."""
-    return float(np.min(np.nan_to_num(values, nan=0.0)))
-
-
 def maximum(values: Float[np.ndarray, "plants"]) -> float | None:
     """The largest value; None if a plant is unstable."""
     return finite_or_none(np.max(values))
 
 
-SUMMARY = {"within_1dB": "within_1dB_Hz", "peak": "peak_dB", "rms": "rms_N"}
-"""The metrics in tune.json, and their names there."""
+SUMMARY = {"within_1dB": "within_1dB_Hz", "peak": "peak_dB", "rms": "rms_moving_N"}
+"""The linear metrics by which models are compared, and their names there."""
 
 
 def rig_metrics(
     found: Mapping[str, Float[np.ndarray, "plants *rest"]],
 ) -> dict[str, float | None]:
-    """The metrics of the rig itself by tune.json's names; None where it is unstable."""
+    """The metrics of the rig itself by `SUMMARY`'s names; None where it is unstable."""
     return {name: finite_or_none(found[key][0]) for key, name in SUMMARY.items()}
-
-
-def worst_metrics(
-    found: Mapping[str, Float[np.ndarray, "plants *rest"]],
-) -> dict[str, float | None]:
-    """The metrics of the worst plant by tune.json's names; None if one is unstable."""
-    return {
-        "within_1dB_Hz": minimum(found["within_1dB"]),
-        "peak_dB": maximum(found["peak"]),
-        "rms_N": maximum(found["rms"]),
-    }

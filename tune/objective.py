@@ -1,133 +1,111 @@
-"""What a loop is tuned for: bandwidth over an ensemble, and what it must keep.
+"""What a loop is tuned for: an aim over an ensemble, and what it must keep.
 
-Bandwidth, peak, robustness, noise and command come from the linearised loop; tracking
-from a simulated run with the joint moving and the adaptation at work. All of it is
-differentiable in the gains, through the Jacobian of the step and through the run.
+Peak, robustness, noise and command come from the loop linearised at rest and at speeds
+of the joint, its adaptation live; tracking from a simulated run with the joint moving.
+Slopes are differences: rows of the same compiled programs.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float, Int
 
-from hydrojax.control.loop import Scenario, run
-from hydrojax.control.simulation import make_scenario
-from hydrojax.control.waveforms import sinusoidal_path
-from hydrojax.parameters import put
+from hydrojax.control.base import RATES
 from hydrojax.rigfile.quantities import Quantity, Setting
-from hydrojax.tune import linearize, metrics, operating_point
+from hydrojax.tune import linearize, metrics, operating_point, programs, trials
+from hydrojax.tune.aims import Aim, Following, Limits, Seen, soft_kept
 from hydrojax.tune.ensemble import Plants
 from hydrojax.tune.program import program
-
-SPEED, PERIOD = 0.03, 3.0
-"""The joint's motion while tracking is judged: peak m/s, s; the paper's."""
-
-FORCE, FORCE_HZ = 300.0, 0.5
-"""The desired force meanwhile: N, Hz; the paper's."""
-
-SECONDS, SKIP = 4.0, 1.0
-"""Length of that run, and what of it is not counted, s."""
+from hydrojax.tune.programs import Programs, Rows
+from hydrojax.tune.trials import make_trials
 
 LOW_HZ = 2.0
 """Where the loop must reject what disturbs it as well as before."""
 
-WIDTH = 0.15
-"""Over how many dB "within 1 dB" fades in the smooth bandwidth."""
+SPEEDS = (0.03, -0.03)
+"""Speeds at which a descent linearises the loop beside rest, m/s: the trials' peak,
+where no presliding lowers the loop's gain any more."""
+
+ALL_SPEEDS = (0.03, 0.01, 0.003, -0.003, -0.01, -0.03)
+"""Speeds at which a proposal has to be stable, beside rest, m/s."""
+
+UNSOUND = 2.0
+"""How much worse than before the others may track where a plant was unstable."""
+
+SPARE = 0.03
+"""How much better than its limit a descent tracks, relative: the other runs of a check
+differ from the one that it sees."""
+
+FOLLOWS = 0.5
+"""Largest |1 - F/F_d| at which a command counts as one that F follows."""
+
+LINES = 48
+"""Frequencies of a descent; what is shown has `metrics.LINES`."""
+
+STEP = 1e-4
+"""Relative step of the slopes of what is linearised; that of the run is `RUN_STEP`:
+the encoder's steps make it rough."""
+
+RUN_STEP = 1e-2
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What the tuned loop must keep, for every plant of the ensemble.
-
-    Attributes:
-        within_dB: |F/F_d| up to the bandwidth, dB.
-        peak_dB: largest |F/F_d|, dB.
-        sensitivity_dB: largest |1 / (1 + L)| of the loop opened at the command: 6 dB
-            ensure a gain margin of 6 dB and a phase margin of 29 degrees.
-        noise: RMS of the command by sensor noise, share of u_max.
-        push: command at the setting's amplitude up to the bandwidth, share of u_max.
-        tracking: RMS of F_d - F in the moving run, relative to the rig's own before.
-        rejection: of disturbances at LOW_HZ, relative to before.
-    """
-
-    within_dB: float = 1.0
-    peak_dB: float = 3.0
-    sensitivity_dB: float = 6.0
-    noise: float = 0.01
-    push: float = 0.9
-    tracking: float = 3.0
-    rejection: float = 0.7
+_metrics = program(jax.vmap(metrics.loop_metrics, (None, 0, 0)))
 
 
-CONSTRAINTS = ("peak", "sensitivity", "noise", "push", "tracking", "rejection")
-"""The constraints, in the order in which `Objective` gives them."""
-
-
-def moving(setting: Setting) -> Scenario:
-    """The run in which tracking is judged."""
-    h = float(setting.loop.h)
-    t = np.arange(round(SECONDS / h)) * h
-    F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
-    P_s, P_r = float(setting.P_s), float(setting.P_r)
-    return make_scenario(F_d, sinusoidal_path(SPEED, PERIOD), h, P_s, P_r, seed=0)
-
-
-def softmax(values: Float[Array, "n"], sharp: float) -> Float[Array, ""]:
-    """The largest of `values`, smoothly: `sharp` is 1 over what is seen as equal."""
-    return jax.scipy.special.logsumexp(sharp * values) / sharp
-
-
-class _Given(NamedTuple):
-    """What the compiled functions are given: numbers, so that none compiles anew."""
-
-    setting: Setting
-    plants: Array  # [m, parameters]
-    limits: Array  # [5]: within, peak, sensitivity, noise, push
-    low: Array  # dB
+def groups_of(free: list[Quantity]) -> Int[np.ndarray, "gains"]:
+    """Which gains move together: the rates of adapting friction, c_1 to c_7, do."""
+    out: list[int] = []
+    first: int | None = None
+    for quantity in free:
+        friction = quantity.name in RATES and quantity.name.startswith("c_")
+        place = max(out, default=-1) + 1
+        if friction:
+            first = place if first is None else first
+            place = first
+        out.append(place)
+    return np.array(out, int)
 
 
 class Objective:
-    """Bandwidth and constraints of a setting as functions of some of its quantities.
+    """An aim and constraints of a setting as functions of some of its quantities.
 
     Args:
         setting: the loop at its operating point.
         free: the quantities that may change.
         plants: the ensemble.
         limits: what must be kept.
+        aim: what is made as large as it can be.
     """
 
     def __init__(
-        self, setting: Setting, free: list[Quantity], plants: Plants, limits: Limits
-    ):
+        self, setting: Setting, free: list[Quantity], plants: Plants, limits: Limits,
+        aim: Aim | None = None,
+    ):  # fmt: skip
         self.setting, self.free, self.limits = setting, free, limits
+        self.aim = aim or Following()
         self.names, self.values = plants.names, np.asarray(plants.values)
-        self.hertz = jnp.asarray(metrics.grid(float(1 / setting.loop.h)))
-        self.scenario = moving(setting)
-        stack = jax.vmap(lambda v: self._at(setting, None, v))
-        still = operating_point.still(stack(jnp.asarray(self.values)))
-        self.settle = (
-            0 if still else round(operating_point.SETTLE / float(setting.loop.h))
-        )
+        self.groups = groups_of(free)
+        self.hertz = metrics.grid(float(1 / setting.loop.h))
+        self.few = metrics.grid(float(1 / setting.loop.h), LINES)
+        self.trials = make_trials(setting)
+        settle = round(operating_point.SETTLE / float(setting.loop.h))
+        count = (1 + self.groups.max(initial=-1) + 1) * len(self.values)
+        self.programs = Programs(free, self.names, settle, int(count))
         # Nowhere 0, so that what a gain of 0 would leave out is among the states.
-        gains = jnp.asarray(np.maximum(1.01 * self.initial(), 1e-4))
-        full = program(
-            jax.vmap(lambda v: self._system(self._at(setting, gains, v), None))
-        )
-        self.states = linearize.find_states(full(jnp.asarray(self.values)))
-        self._linear = program(self._all)
-        self._slope = program(jax.jacfwd(self._scores, has_aux=True))
-        self._run = jax.jit(self._tracking)
-        self._run_slope = jax.jit(jax.jacfwd(self._tracking))
+        gains = np.maximum(1.01 * self.initial(), 1e-4)
+        rows = self.rows(gains, (0.0, *SPEEDS))
+        self.carries = self.programs.settle(setting, self.rows(None, (0.0, *SPEEDS)))
+        full = self.programs.systems(setting, rows, self.carries)
+        self.states = linearize.find_states(full)
+        self.model: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.before: dict[str, np.ndarray] = {}
-        self.before = self.evaluate(None)
+        self.before = self.evaluate(self.initial())
+        self.sound = bool(np.all(self.before["largest_eigenvalue"] < 1))
 
     def relaxed(
         self,
@@ -143,144 +121,166 @@ class Objective:
         out.setting = self.setting if setting is None else setting
         out.values = self.values if values is None else values
         out.limits = self.limits if limits is None else limits
+        if setting is not None or values is not None:
+            rows = out.rows(None, (0.0, *SPEEDS))
+            out.carries = self.programs.settle(out.setting, rows)
+        return out
+
+    def without_runs(self, gains: Float[np.ndarray, "gains"]) -> Objective:
+        """The same, with tracking to first order about these gains: no more runs."""
+        count = int(self.groups.max()) + 1
+        moved = np.concatenate([np.zeros((1, count)), RUN_STEP * np.eye(count)])
+        rms = np.log(self._runs(gains, moved))
+        out = copy.copy(self)
+        out.model = np.asarray(gains), rms[0], (rms[1:] - rms[0]) / RUN_STEP
         return out
 
     def initial(self) -> Float[np.ndarray, "gains"]:
         """The setting's own values of what is free, in their units."""
         return np.array([float(q.get(self.setting)) for q in self.free])
 
-    def at(self, gains: Any, plant: int = 0) -> Setting:
+    def at(self, gains: Float[np.ndarray, "gains"], plant: int = 0) -> Setting:
         """The setting of one plant with these gains."""
-        values = jnp.asarray(self.values[plant])
-        given = None if gains is None else jnp.asarray(gains)
-        return self._at(self.setting, given, values)
+        return programs.at(
+            self.setting, self.free, self.names, jnp.asarray(gains),
+            jnp.asarray(self.values[plant]), self.setting.v,
+        )  # fmt: skip
+
+    def rows(
+        self, gains: Float[np.ndarray, "gains"] | None, speeds: tuple[float, ...]
+    ) -> Rows:
+        """All plants with these gains (None: the setting's), speed by speed."""
+        g = self.initial() if gains is None else np.asarray(gains)
+        m, count = len(self.values), len(speeds) * len(self.values)
+        rest = float(self.setting.v)
+        return Rows(
+            np.broadcast_to(g, (count, g.size)),
+            np.tile(self.values, (len(speeds), 1)),
+            np.repeat(np.array([v or rest for v in speeds]), m),
+        )
 
     def evaluate(
-        self, gains: Float[np.ndarray, "gains"] | None
+        self, gains: Float[np.ndarray, "gains"]
     ) -> dict[str, Float[np.ndarray, "plants *rest"]]:
-        """Metrics of all plants, and `rms` (N); None: with the gains as set."""
-        given, g = self._given(), None if gains is None else jnp.asarray(gains)
-        found = self._linear(g, given)
-        rms = self._run(g, given)
-        return {n: np.asarray(v) for n, v in found.items()} | {"rms": np.asarray(rms)}
+        """Metrics of all plants, linearised at rest with the adaptation live.
 
-    def over(self, free: list[Quantity], setting: Setting) -> Objective:
-        """The objective of other quantities of a setting, for its run alone."""
-        out = self.relaxed(setting=setting)
-        out.free = free
-        return out
-
-    def compiled_run(
-        self,
-    ) -> tuple[
-        Callable[[Float[Array, "gains"]], Float[Array, "plants"]],
-        Callable[[Float[Array, "gains"]], Float[Array, "plants gains"]],
-    ]:
-        """`run` as a compiled function, and its derivative by each gain."""
-        given = self._given()
-        run, slope = jax.jit(self._tracking), jax.jit(jax.jacfwd(self._tracking))
-        return lambda gains: run(gains, given), lambda gains: slope(gains, given)
-
-    def run(self, gains: Float[np.ndarray, "gains"]) -> Float[np.ndarray, "plants"]:
-        """RMS of F_d - F of each plant with the joint moving, N."""
-        return np.asarray(jax.jit(self._tracking)(jnp.asarray(gains), self._given()))
+        `largest_eigenvalue` is the largest over `ALL_SPEEDS` too, the points settled
+        with these gains; `peak_moving` and `sensitivity_moving` are over them.
+        """
+        speeds = (0.0, *ALL_SPEEDS)
+        rows, m = self.rows(gains, speeds), len(self.values)
+        carries = self.programs.settle(self.setting, rows)
+        full = self.programs.systems(self.setting, rows, carries)
+        largest = linearize.largest_eigenvalue(full).reshape(-1, m).max(0)
+        H = linearize.responses(linearize.reduced(full, self.states), self.hertz)
+        # At rest a mean pressure stays put, and so does every estimate.
+        found = _metrics(self.hertz, H[:m], largest)
+        sense = metrics.decibels(H[:m, :, 1, 1])
+        out = {n: np.asarray(v) for n, v in found.items()}
+        moving = metrics.decibels(H[m:]).reshape(-1, m, self.hertz.size, 2, 5)
+        return out | {
+            "largest_eigenvalue": largest,
+            "response": H[:m, :, 0, 0],
+            "low": np.array([np.interp(LOW_HZ, self.hertz, s) for s in sense]),
+            "peak_moving": moving[..., 0, 0].max((0, 2)),
+            "sensitivity_moving": moving[..., 1, 1].max((0, 2)),
+            "rms": self._tracking(self.rows(gains, (0.0,))),
+        }
 
     def scores(
         self, gains: Float[np.ndarray, "gains"]
-    ) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "7 gains"], bool]:
-        """Log bandwidth and `CONSTRAINTS` (kept where >= 0), slopes, whether stable.
+    ) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "7 groups"], bool]:
+        """The aim and `CONSTRAINTS` (kept where >= 0), slopes, whether stable.
 
-        Slopes are per unit of each gain.
+        Slopes are per logarithm of each group of gains.
         """
-        given, g = self._given(), jnp.asarray(gains)
-        slope, (value, radius) = self._slope(g, given)
-        rms, steep = (np.asarray(f(g, given)) for f in (self._run, self._run_slope))
-        worst = int(np.argmax(rms))
-        kept = self.limits.tracking * float(self.before["rms"][0])
-        value = np.insert(np.asarray(value), 5, np.log(kept / rms[worst]))
-        slope = np.insert(np.asarray(slope), 5, -steep[worst] / rms[worst], axis=0)
-        finite = np.all(np.isfinite(value)) and np.all(np.isfinite(slope))
-        return value, slope, bool(radius < 1) and bool(finite)
+        count = int(self.groups.max()) + 1
+        moved = np.concatenate([np.zeros((1, count)), np.eye(count)])
+        value, radius = self._linear(gains, STEP * moved)
+        rms = self._runs(gains, RUN_STEP * moved)
+        table = [self._score(*row) for row in zip(value, rms[:1].repeat(count + 1, 0),
+                                                  strict=True)]  # fmt: skip
+        by_run = [self._score(value[0], r) for r in rms]
+        here = np.array(table[0])
+        slope = (np.array(table[1:]) - here) / STEP
+        slope += (np.array(by_run[1:]) - here) / RUN_STEP
+        sound = radius < 1 and np.isfinite(here).all() and np.isfinite(slope).all()
+        return here, slope.T, bool(sound)
 
-    def _given(self) -> _Given:
-        keep = self.limits
-        low = 0.0
-        if self.before:
-            low = float(np.max(self.before["low"])) - 20 * np.log10(keep.rejection)
-        shape = (keep.within_dB, keep.peak_dB, keep.sensitivity_dB)
-        limits = (*shape, keep.noise, keep.push)
-        return _Given(
-            self.setting, jnp.asarray(self.values), jnp.array(limits), jnp.asarray(low)
-        )
+    def stable(self, gains: Float[np.ndarray, "gains"]) -> bool:
+        """Whether every plant is stable at rest and at `SPEEDS`, adaptation live."""
+        count = int(self.groups.max()) + 1
+        return self._linear(gains, np.zeros((1, count)))[1] < 1
 
-    def _at(self, setting: Setting, gains: Array | None, plant: Array) -> Setting:
-        rig = put(setting.loop.rig, self.names, plant)
-        s = eqx.tree_at(lambda q: q.loop.rig, setting, rig)
-        if gains is not None:
-            for i, quantity in enumerate(self.free):
-                s = quantity.put(s, gains[i])
-        return s
+    def _linear(
+        self, gains: Float[np.ndarray, "gains"], moved: Float[np.ndarray, "k groups"]
+    ) -> tuple[list[Any], float]:
+        """Responses [speeds, plants, lines, 2, 5] at each of the moved gains."""
+        speeds, m = (0.0, *SPEEDS), len(self.values)
+        each = [self.rows(gains * np.exp(y[self.groups]), speeds) for y in moved]
+        rows = jax.tree.map(lambda *a: np.concatenate(a), *each)
+        n = len(speeds) * m
+        carries = programs.repeat(self.carries, np.tile(np.arange(n), len(moved)))
+        full = self.programs.systems(self.setting, rows, carries)
+        first = jax.tree.map(lambda a: a[:n], full)
+        radius = float(np.max(linearize.largest_eigenvalue(first)))
+        H = linearize.responses(linearize.reduced(full, self.states), self.few)
+        return list(H.reshape(len(moved), len(speeds), m, *H.shape[1:])), radius
 
-    def _system(self, s: Setting, states: linearize.States | None) -> linearize.System:
-        return linearize.system(
-            s, operating_point.initial_state(s, settle=self.settle), states
-        )
+    def _runs(
+        self, gains: Float[np.ndarray, "gains"], moved: Float[np.ndarray, "k groups"]
+    ) -> Float[np.ndarray, "k plants"]:
+        """RMS of the moving run of all plants at each of the moved gains, N."""
+        if self.model is not None:
+            about, rms, slope = self.model
+            away = np.log(np.maximum(gains, 1e-300) / np.maximum(about, 1e-300))
+            y = np.array([away[self.groups == g].mean() for g in range(moved.shape[1])])
+            return np.exp(np.clip(rms + (y + moved) @ slope, -20, 20))
+        each = [self.rows(gains * np.exp(y[self.groups]), (0.0,)) for y in moved]
+        rows = jax.tree.map(lambda *a: np.concatenate(a), *each)
+        return self._tracking(rows).reshape(len(moved), -1)
 
-    def _answer(self, s: Setting) -> tuple[Array, linearize.System]:
-        system = self._system(s, self.states)
-        return linearize.frequency_response(system, self.hertz), system
+    def _tracking(self, rows: Rows) -> Float[np.ndarray, "rows"]:
+        k = trials.MOVING
+        which = np.full(rows.v.size, k)
+        F = self.programs.runs(self.setting, rows, which, self.trials.scenarios)
+        return trials.rms_error(self.trials, k, F[..., 0])
 
-    def _all(self, gains: Array | None, given: _Given) -> dict[str, Array]:
-        def one(plant):
-            H, system = self._answer(self._at(given.setting, gains, plant))
-            low = jnp.interp(LOW_HZ, self.hertz, metrics.dB(H[:, 1, 1]))
-            found = metrics.loop_metrics(self.hertz, H, linearize.radius(system))
-            return found | {"response": H[:, 0, 0], "low": low}
+    def _score(
+        self, H: Float[np.ndarray, "speeds plants lines 2 5"],
+        rms: Float[np.ndarray, "plants"],
+    ) -> list[float]:  # fmt: skip
+        """The aim and all constraints of one set of gains."""
+        keep, u_max = self.limits, float(self.setting.loop.law.u_max)
+        rest, dB = H[0], metrics.decibels(H)
+        power = np.sum(np.abs(rest[..., 1, 2:]) ** 2, axis=-1)
+        heard = np.sqrt(np.trapezoid(power, self.few) / self.few[-1])
+        follows = soft_kept(np.abs(1 - rest[..., 0, 0]) / FOLLOWS)
+        pushed = float(self.setting.amplitude) * follows * np.abs(rest[..., 1, 0])
+        i = int(np.argmin(np.abs(self.few - LOW_HZ)))
+        low = dB[..., i, 1, 1]
+        seen = Seen(self.few, rest[..., 0, 0], rms, low.max(0))
+        was, wide = self.before["rms"], keep.tracking
+        if not self.sound:
+            was, wide = np.maximum(was, np.median(was)), UNSOUND * wide
+        limit = np.max(self.before["low"]) - 20 * np.log10(keep.rejection)
+        moving = keep.moving_dB
+        if self.sound:
+            moving = max(moving, float(np.max(self.before["sensitivity_moving"])))
+        sense = dB[..., 1, 1]
+        margin = min(keep.sensitivity_dB - _top(sense[0]), moving - _top(sense[1:]))
+        return [
+            self.aim.score(seen),
+            (keep.peak_dB - _top(dB[0, ..., 0, 0])) / 3,
+            margin / 3,
+            float(np.log(keep.noise * u_max / max(np.max(heard), 1e-9 * u_max))),
+            float(np.log(keep.push * u_max / max(np.max(pushed), 1e-9 * u_max))),
+            float(np.min(np.log(wide * was / rms))) - SPARE,
+            float(limit - np.max(low[0])) / 3,
+        ]
 
-        return jax.vmap(one)(given.plants)
 
-    def _scores(self, gains: Array, given: _Given) -> tuple[Array, tuple[Array, Array]]:
-        """Log bandwidth, all constraints but tracking; the same, and the radius."""
-        most, peak, sensitivity, noise, push = given.limits
-        u_max = given.setting.loop.law.u_max
-
-        def one(plant):
-            H, system = self._answer(self._at(given.setting, gains, plant))
-            track, sense = metrics.dB(H[:, 0, 0]), metrics.dB(H[:, 1, 1])
-            kept = metrics.soft_inside(H[:, 0, 0], most, WIDTH)
-            heard = sum(metrics.rms(self.hertz, H[:, 1, i]) ** 2 for i in (2, 3, 4))
-            pushed = given.setting.amplitude * kept * jnp.abs(H[:, 1, 0]) / u_max
-            row = jnp.stack([
-                self.hertz[0] + jnp.sum(kept[1:] * jnp.diff(self.hertz)),
-                softmax(track, 20.0), softmax(sense, 20.0),
-                jnp.sqrt(heard + 1e-20) / u_max, softmax(pushed, 200.0),
-                jnp.interp(LOW_HZ, self.hertz, sense),
-            ])  # fmt: skip
-            return row, linearize.radius(jax.lax.stop_gradient(system))
-
-        rows, radius = jax.vmap(one)(given.plants)
-        band, top, sense, heard, pushed, low = rows.T
-        least = -softmax(-band, 2.0) + jnp.log(band.size) / 2.0
-        scores = jnp.stack([
-            jnp.log(jnp.maximum(least, 1e-3)),
-            (peak - jnp.max(top)) / 3,
-            (sensitivity - jnp.max(sense)) / 3,
-            jnp.log(noise / jnp.max(heard)),
-            jnp.log(push / jnp.max(pushed)),
-            (given.low - jnp.max(low)) / 3,
-        ])  # fmt: skip
-        return scores, (scores, jnp.max(radius))
-
-    def _tracking(self, gains: Array | None, given: _Given) -> Array:
-        """RMS of F_d - F of each plant with the joint moving, [m], N."""
-        scenario = self.scenario._replace(
-            P_s=jnp.full_like(self.scenario.P_s, given.setting.P_s)
-        )
-        skip = round(SKIP * scenario.F_d.size / SECONDS)
-
-        def one(plant):
-            s = self._at(given.setting, gains, plant)
-            off = scenario.F_d - run(s.loop, scenario, ("true_F",))[:, 0]
-            return jnp.sqrt(jnp.mean(off[skip:] ** 2))
-
-        return jax.vmap(one)(given.plants)
+def _top(dB: Float[np.ndarray, "*rest"], sharp: float = 20.0) -> float:
+    """The largest value, smoothly."""
+    most = np.max(dB)
+    return float(most + np.log(np.sum(np.exp(sharp * (dB - most)))) / sharp)

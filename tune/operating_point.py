@@ -166,6 +166,19 @@ def initial_state(setting: Setting, adapted: bool = True, settle: int = 0) -> An
     return carry._replace(law=memory._replace(P_d_rate=jnp.zeros_like(memory.P_d)))
 
 
+def matched(setting: Setting, carry: Any) -> Any:
+    """The state with the estimates and the P_d that the setting's law has there.
+
+    While the joint moves these are the adapted ones. At rest, where a small force
+    teaches the law next to nothing, they are those with which it starts.
+    """
+    if not isinstance(setting.loop.law, Law):
+        return carry
+    both = (estimates(setting.loop, adapted) for adapted in (False, True))
+    held = jax.tree.map(lambda a, b: jnp.where(setting.v == 0, a, b), *both)
+    return carry._replace(law=_matched(setting, carry.law, held, setting.F_0))
+
+
 def _matched(setting: Setting, memory: Any, held: Estimates, F_d: Array) -> Any:
     """The law's memory with other estimates, and the P_d that they make."""
     P_d = _adaptive(setting.loop).desired(held, memory.z, memory.v, memory.speed, F_d)[

@@ -1,23 +1,36 @@
-"""Gains by descent: SLSQP with exact slopes, from several starts."""
+"""Gains by descent (L-BFGS-B with penalties) from several starts.
+
+Where no gains keep every limit the penalties end at a compromise, which a descent with
+strict constraints does not.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy import optimize
 
 from hydrojax.control.adaptive import Law
-from hydrojax.tune.objective import CONSTRAINTS, Limits, Objective
+from hydrojax.control.base import RATES
+from hydrojax.rigfile.quantities import Quantity
+from hydrojax.tune.aims import CONSTRAINTS
+from hydrojax.tune.objective import Objective
 
-MAX_ITERATIONS = 40
+MAX_ITERATIONS = 25
 REACH = 30.0
 """How many times above or below where it starts a gain may go."""
 
+REACH_DOWN = 300.0
+"""How many times below where it starts a rate of adaptation may go; above, 3 times."""
+
+PENALTY = 30.0
+"""Weight of the squares by which constraints are broken."""
+
 TIGHT = 0.02
-"""A constraint within this of its end is one that holds the bandwidth back."""
+"""A constraint within this of its end is one that holds the loop back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,15 +39,19 @@ class Optimum:
 
     Attributes:
         gains: in their units.
-        log_band: log of the smooth bandwidth of the worst plant.
+        score: of the aim.
         slack: what is left of each constraint, by name; < 0 is broken.
-        starts: bandwidth (Hz) that each start came to, NaN where it broke something.
+        seen: score and slack of each stable loop that was looked at on the way.
+        others: the gains at which the other descents ended.
+        edges: places of the gains that are at an end of their search range.
     """
 
     gains: Float[np.ndarray, "gains"]
-    log_band: float
+    score: float
     slack: dict[str, float]
-    starts: tuple[float, ...]
+    seen: Float[np.ndarray, "points 7"]
+    others: tuple[Float[np.ndarray, "gains"], ...] = ()
+    edges: tuple[int, ...] = ()
 
     @property
     def kept(self) -> bool:
@@ -44,19 +61,21 @@ class Optimum:
 
 def optimize_gains(
     objective: Objective,
-    starts: int = 4,
+    starts: int = 2,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
     begin: Float[np.ndarray, "gains"] | None = None,
+    iterations: int = MAX_ITERATIONS,
 ) -> Optimum:
-    """The widest loop that keeps all limits.
+    """The gains that reach the aim best and keep all limits.
 
     Args:
-        objective: bandwidth and constraints.
+        objective: aim and constraints.
         starts: descents, the first from the present gains, the others at random.
         seed: of the random ones.
         progress: called with a line of text at each stage.
         begin: where the first starts, if not from the present gains.
+        iterations: of each descent at most.
 
     Returns:
         The best of those that break nothing; the one that breaks least if all do.
@@ -64,24 +83,28 @@ def optimize_gains(
     floors = (_floor(q.name) for q in objective.free)
     pairs = zip(objective.initial(), floors, strict=True)
     here = np.array([max(pair) for pair in pairs])
-    first = here if begin is None else np.maximum(begin, 1e-9 * here)
+    low, high = _reach(objective)
+    count = low.size
+    first = np.zeros(count) if begin is None else _mean_log(objective, begin / here)
     rng = np.random.default_rng([seed, 31])
-    tries = [first] + [
-        here * np.exp(rng.uniform(-np.log(10), np.log(3), here.size))
+    tries = [np.clip(first, low, high)] + [
+        rng.uniform(np.maximum(low, -np.log(10)), np.minimum(high, np.log(3)))
         for _ in range(starts - 1)
     ]
     ends: list[Optimum] = []
-    for i, x in enumerate(tries):
+    for i, y in enumerate(tries):
         progress(f"descent {i + 1} of {len(tries)}")
-        ends.append(_descend(objective, here, _stable(objective, x)))
+        y = _stable(objective, here, y)
+        ends.append(_descend(objective, here, y, (low, high), iterations))
     kept = [e for e in ends if e.kept]
     best = (
-        max(kept, key=lambda e: e.log_band)
+        max(kept, key=lambda e: e.score)
         if kept
         else max(ends, key=lambda e: min(e.slack.values()))
     )
-    bands = tuple(float(np.exp(e.log_band)) if e in kept else np.nan for e in ends)
-    return Optimum(best.gains, best.log_band, best.slack, bands)
+    others = tuple(e.gains for e in ends if e is not best)
+    seen = np.concatenate([e.seen for e in ends])
+    return Optimum(best.gains, best.score, best.slack, seen, others, best.edges)
 
 
 def _floor(name: str) -> float:
@@ -89,85 +112,76 @@ def _floor(name: str) -> float:
     return {"tau_d": 2e-4, "tau_v": 2e-4}.get(name, 1e-6)
 
 
-def _stable(objective: Objective, x: np.ndarray) -> np.ndarray:
-    """`x` with its feedback lowered until the loop is stable."""
+def _is_rate(quantity: Quantity) -> bool:
+    return quantity.name in RATES
+
+
+def _reach(objective: Objective) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the logarithm of each group of gains, relative to its start."""
+    low = np.full(int(objective.groups.max()) + 1, -np.log(REACH))
+    high = -low
+    for group, quantity in zip(objective.groups, objective.free, strict=True):
+        if _is_rate(quantity):
+            low[group], high[group] = -np.log(REACH_DOWN), np.log(3)
+    return low, high
+
+
+def _mean_log(objective: Objective, ratio: np.ndarray) -> np.ndarray:
+    """The logarithm of each group's mean ratio."""
+    logs = np.log(np.maximum(ratio, 1e-9))
+    count = int(objective.groups.max()) + 1
+    return np.array([logs[objective.groups == g].mean() for g in range(count)])
+
+
+def _stable(objective: Objective, here: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """`y` with its feedback and its adaptation lowered until the loop is stable."""
     adaptive = isinstance(objective.setting.loop.law, Law)
-    feedback = np.array(
-        [not adaptive or q.name in ("k_p", "k_f") for q in objective.free]
-    )
+    lowered = np.zeros(y.size)
+    for group, q in zip(objective.groups, objective.free, strict=True):
+        if not adaptive or q.name in ("k_p", "k_f") or _is_rate(q):
+            lowered[group] = np.log(0.6)
     for _ in range(8):
-        if objective.scores(x)[2]:
+        if objective.stable(here * np.exp(y[objective.groups])):
             break
-        x = np.where(feedback, 0.6 * x, x)
-    return x
+        y = y + lowered
+    return y
 
 
-def _descend(objective: Objective, here: np.ndarray, x: np.ndarray) -> Optimum:
-    seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+def _descend(
+    objective: Objective, here: np.ndarray, y: np.ndarray,
+    ends: tuple[np.ndarray, np.ndarray], iterations: int,
+) -> Optimum:  # fmt: skip
+    seen: dict[bytes, tuple[np.ndarray, np.ndarray, bool]] = {}
 
-    def scored(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def scored(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
         key = y.tobytes()
         if key not in seen:
-            gains = here * np.exp(y)
+            gains = here * np.exp(y[objective.groups])
             value, slope, sound = objective.scores(gains)
             if not sound:  # unstable: keep the search away
                 value, slope = np.full(value.size, -10.0), np.zeros(slope.shape)
-            seen[key] = value, slope * gains
+            seen[key] = value, slope, sound
         return seen[key]
 
-    done = optimize.minimize(
-        lambda y: -scored(y)[0][0],
-        np.log(x / here),
-        jac=lambda y: -scored(y)[1][0],
-        bounds=[(-np.log(REACH), np.log(REACH))] * x.size,
-        constraints={"type": "ineq", "fun": lambda y: scored(y)[0][1:],
-                     "jac": lambda y: scored(y)[1][1:]},
-        method="SLSQP",
-        options={"maxiter": MAX_ITERATIONS, "ftol": 1e-4},
+    def cost(y: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope, _ = scored(y)
+        short = np.minimum(value[1:] - TIGHT / 2, 0.0)
+        slopes = -slope[0] + 2 * PENALTY * short @ slope[1:]
+        return float(-value[0] + PENALTY * short @ short), slopes
+
+    optimize.minimize(
+        cost, y, jac=True, bounds=list(zip(*ends, strict=True)), method="L-BFGS-B",
+        options={"maxiter": iterations, "ftol": 1e-3, "maxls": 8},
     )  # fmt: skip
     # The last point may be one of the line search; take the best that was looked at.
-    best = max(
-        seen.items(),
-        key=lambda item: (
-            item[1][0][0] + 20 * min(0.0, item[1][0][1:].min() + TIGHT / 2)
-        ),
-    )
-    y = np.frombuffer(best[0]) if best else done.x
-    value = best[1][0]
+    y = min((np.frombuffer(key) for key in seen), key=lambda y: cost(y)[0])
+    value = scored(y)[0]
+    near = np.minimum(y - ends[0], ends[1] - y) < 0.02 * (ends[1] - ends[0])
     return Optimum(
-        here * np.exp(y), float(value[0]),
-        dict(zip(CONSTRAINTS, map(float, value[1:]), strict=True)), (),
-    )  # fmt: skip
-
-
-def find_gains(
-    objective: Objective, starts: int, progress: Callable[[str], None] = lambda _: None
-) -> tuple[Optimum, Objective, tuple[str, ...]]:
-    """The gains, with tracking and rejection given up where no gains keep all.
-
-    Args:
-        objective: bandwidth and constraints.
-        starts: number of descents.
-        progress: called with a line of text at each stage.
-
-    Returns:
-        The optimum, the objective that it is of, and a note on what was given up.
-    """
-    best = optimize_gains(objective, starts, progress=progress)
-    if best.kept:
-        return best, objective, ()
-    free = objective.relaxed(limits=_loose(objective.limits))
-    other = optimize_gains(
-        free, starts, progress=progress, begin=0.3 * objective.initial()
+        here * np.exp(y[objective.groups]),
+        float(value[0]),
+        dict(zip(CONSTRAINTS, map(float, value[1:]), strict=True)),
+        np.array([v for v, _, sound in seen.values() if sound]).reshape(-1, value.size),
+        (),
+        tuple(int(i) for i in np.flatnonzero(near[objective.groups])),
     )
-    if min(other.slack.values()) <= min(best.slack.values()):
-        return best, objective, ()
-    note = (
-        "No gains keep the limits on peak and margins together with those on tracking "
-        "and rejection: the latter were given up."
-    )
-    return other, free, (note,)
-
-
-def _loose(limits: Limits) -> Limits:
-    return replace(limits, tracking=1e3, rejection=1e-2)

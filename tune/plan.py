@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.errors import InputError
+from hydrojax.limits import CELLS
 from hydrojax.rigfile.fingerprint import code_fingerprint
 from hydrojax.rigfile.quantities import Quantity, Setting
 from hydrojax.tune import linearize, measure, metrics, operating_point
@@ -118,6 +120,11 @@ def with_excitations(plan: Plan) -> Plan:
     Raises:
         InputError: measuring at a rate that is swept, or at no amplitude.
     """
+    if (cells := math.prod(plan.shape)) > CELLS:
+        raise InputError(
+            f"sweep: {cells} cells over axes and plants are more than {CELLS}; take "
+            "fewer values or plants"
+        )
     measured = [m for m in plan.methods if m != "linear"]
     if measured and any(a.name == "rate" for a in plan.axes):
         raise InputError(

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from hydrojax.report import page
-from hydrojax.report.files import write_all
+from hydrojax.report.files import digest, write_all
 from hydrojax.tune.display import (
     bode_figure,
     ends,
+    front_figure,
     limit,
     limits_figure,
     metrics_table,
@@ -31,6 +31,12 @@ def tuning_pictures(t: Tuning) -> dict[str, tuple[Figure, str, str]]:
             "ensemble's stable plants; dashed: where it leaves 1 dB.",
         )
     }  # fmt: skip
+    if t.optimum.seen.size:
+        out["tune_front"] = (
+            front_figure(t), "Band against tracking, peak and noise.",
+            "All stable gains that the descents looked at; above the line a limit is "
+            "kept.",
+        )  # fmt: skip
     if t.relaxed:
         out["tune_limits"] = (
             limits_figure(t), f"Bandwidth with each limit taken away. {limit(t)}",
@@ -43,13 +49,12 @@ def write(t: Tuning, out: Path) -> None:
     """Write tune.json, rig.toml, the pictures and report.html into a folder."""
     shown = []
     for name, (figure, alt, caption) in tuning_pictures(t).items():
-        store = io.BytesIO()
-        figure.savefig(store, format="png", dpi=110)
-        shown.append(page.Picture(name, store.getvalue(), alt, caption))
+        shown.append(page.Picture(name, page.png(figure, 110), alt, caption))
     files = {f"{p.name}.png": p.png for p in shown}
-    text = json.dumps(t.json(), indent=1, allow_nan=False)
-    files["tune.json"] = (text + "\n").encode()
     files["rig.toml"] = t.rig.text.encode()
+    record = t.json() | {"rig_toml_sha256": digest(files["rig.toml"])}
+    text = json.dumps(record, indent=1, allow_nan=False)
+    files["tune.json"] = (text + "\n").encode()
     said = page.page(
         Path(__file__).parent / "report.html",
         (show,),

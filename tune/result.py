@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from hydrojax.errors import InputError
 from hydrojax.tune import display, report
-from hydrojax.tune.metrics import minimum
 from hydrojax.tune.tuning import Tuning
 
 
@@ -26,12 +25,17 @@ class Tuned(Tuning):
 
         Args:
             picture: `bode`: gain and phase before and after, with the ensemble's range;
-                `limits`: the bandwidth with each limit taken away.
+                `limits`: the bandwidth with each limit taken away; `front`: band
+                against tracking, of all gains that were looked at.
 
         Raises:
             InputError: no such picture, or no limit was examined.
         """
-        figures = {"bode": display.bode_figure, "limits": display.limits_figure}
+        figures = {
+            "bode": display.bode_figure,
+            "limits": display.limits_figure,
+            "front": display.front_figure,
+        }
         if picture not in figures:
             raise InputError(
                 f"invalid picture {picture!r}: expected one of {', '.join(figures)}"
@@ -48,8 +52,8 @@ class Tuned(Tuning):
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{n}={v:.4g}" for n, v in self.gains.items())
-        band = minimum(self.after["within_1dB"])
-        return f"<Tuned {self.name!r}: {gains}; within 1 dB up to {band:.1f} Hz>"
+        band = self.proposal.after.follows_to.min()
+        return f"<Tuned {self.name!r}: {gains}; follows up to {band:.1f} Hz>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""

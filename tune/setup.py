@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from hydrojax.errors import InputError
+from hydrojax.limits import COUNT
 from hydrojax.rigfile.quantities import (
     Quantity,
     Setting,
@@ -65,8 +66,8 @@ def make_plants(
     Raises:
         InputError: nothing in the findings was fitted, or `count` is below 1.
     """
-    if count < 1:
-        raise InputError(f"invalid number of plants {count}: expected 1 or more")
+    if not 1 <= count <= COUNT:
+        raise InputError(f"invalid number of plants {count}: expected 1 to {COUNT}")
     if count < 2:
         return None
     if findings is not None:

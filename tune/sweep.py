@@ -17,7 +17,7 @@ from hydrojax.jax_setup import make_room
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import linearize, measure, metrics, operating_point
 from hydrojax.tune.chunks import Chunks
-from hydrojax.tune.dataset import dataset, save_dataset
+from hydrojax.tune.dataset import dataset
 from hydrojax.tune.plan import Plan, chunk_size, tag_of
 from hydrojax.tune.program import on_all_devices, program
 
@@ -158,8 +158,7 @@ def run_sweep(
             for name in parts[0]
         }
     data = dataset(plan, found)
-    if folder is not None:
-        save_dataset(data, folder / "sweep.nc")
+    chunks.finish(data)
     return data
 
 

@@ -11,10 +11,11 @@ from jaxtyping import Float
 
 from hydrojax.rigfile import edit
 from hydrojax.rigfile.schema import RigFile
+from hydrojax.tune.aims import Aim, Limits
 from hydrojax.tune.limiting import Relaxed
-from hydrojax.tune.metrics import rig_metrics, worst_metrics
-from hydrojax.tune.objective import Limits
 from hydrojax.tune.optimize import Optimum
+from hydrojax.tune.proposal import Proposal
+from hydrojax.tune.trials import SMALL
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,12 +30,18 @@ class Tuning:
         gains: values by name, in the unit of `units`.
         units: of the gains: the paper's.
         start: the values before.
-        before, after: metrics of every plant by name; the rig itself is the first.
+        before, after: metrics of every plant by name, linearised with the adaptation
+            live; the rig itself is the first.
+        proposal: the same gains tried in runs; what stands in the way of better ones.
         hertz: of the responses among them.
         optimum: where the descents ended.
         relaxed: what limits the loop, the most first.
         plants: what the ensemble is.
         limits: what was to be kept.
+        aim: what was made as large as it can be.
+        tolerance: of |1 - F/F_d|.
+        amplitude: at which bands are promised, N; and at `SMALL` of it.
+        edges: gains at an end of their search range.
         comparison: of models and gains: a title, and metrics of the rig itself.
         notes: remarks.
     """
@@ -45,11 +52,16 @@ class Tuning:
     start: dict[str, float]
     before: dict[str, Float[np.ndarray, "plants *rest"]]
     after: dict[str, Float[np.ndarray, "plants *rest"]]
+    proposal: Proposal
     hertz: Float[np.ndarray, "lines"]
     optimum: Optimum
     relaxed: tuple[Relaxed, ...]
     plants: str
     limits: Limits
+    aim: Aim
+    tolerance: float
+    amplitude: float
+    edges: tuple[str, ...] = ()
     comparison: tuple[tuple[str, dict[str, float | None]], ...] = ()
     notes: tuple[str, ...] = field(default=())
 
@@ -88,7 +100,23 @@ class Tuning:
         """The content of tune.json: gains in the paper's units."""
         return {
             "gains": self.gains,
-            "before": rig_metrics(self.before),
-            "after": rig_metrics(self.after),
-            "worst_of_ensemble": worst_metrics(self.after),
+            "proposed": self.proposal.found,
+            "obstacles": list(self.obstacles),
+            "aim": self.aim.word,
+            "tolerance": self.tolerance,
+            "amplitudes_N": list(self.amplitudes),
+            "at_edge_of_search": list(self.edges),
+            "before": self.proposal.before.figures(0),
+            "after": self.proposal.after.figures(0),
+            "worst_of_ensemble": self.proposal.after.figures(None),
         }
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """What stands in the way of a proposal; empty where there is one."""
+        return self.proposal.obstacles
+
+    @property
+    def amplitudes(self) -> tuple[float, float]:
+        """Sizes of the desired force at which bands are promised, N."""
+        return SMALL * self.amplitude, self.amplitude

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
 from hydrojax import __version__
-from hydrojax.cli import batch, export, identify, loop, tune
+from hydrojax.cli import batch, compare, export, identify, init, loop, tune
 from hydrojax.cli.options import app, console, errors
 from hydrojax.errors import InputError
 
@@ -36,7 +36,7 @@ def options(
 
 SEVERAL = (
     "--validate", "--test", "--gains", "--separate", "--over", "--by", "--at", "--free",
-    "--to",
+    "--to", "--column", "--fail-on",
 )  # fmt: skip
 """Options that take all words that follow."""
 
@@ -59,20 +59,53 @@ def spread(words: list[str]) -> list[str]:
 
 
 def _refuse(error: Exception) -> NoReturn:
-    errors.print(
-        f"hydrojax: {error}", style=None, markup=False, emoji=False, soft_wrap=True
-    )
+    errors.print(f"hydrojax: {error}", style=None, soft_wrap=True)
     sys.exit(2)
 
 
+def _usage(error: Any) -> NoReturn:
+    """A command line that cannot be taken, in one line."""
+    context = getattr(error, "ctx", None)
+    if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help
+        print(error.format_message())
+        sys.exit(2)
+    where = context.command_path if context is not None else "hydrojax"
+    said = " ".join(error.format_message().split()).rstrip(".")
+    _refuse(InputError(f"{said}; see {where} --help"))
+
+
+_CLICK_ERROR: Any = typer.BadParameter.__mro__[2]
+"""Click's base of what a command line can have wrong: Typer has a copy of Click or
+Click itself, by its version."""
+
+
 def main() -> None:
-    """Run the command line: 0 when it did its work, 2 on bad input."""
+    """Run the command line: 0 when it did its work, 2 on bad input.
+
+    1 where `--fail-on` says so, or the user interrupts.
+    """
     try:
-        app(spread(sys.argv[1:]))
+        code = app(spread(sys.argv[1:]), prog_name="hydrojax", standalone_mode=False)
     except InputError as error:
         _refuse(error)
+    except _CLICK_ERROR as error:
+        _usage(error)
+    except typer.Abort:
+        sys.exit(1)
     except OSError as error:  # a disk that is full, a folder that went away
         _refuse(error)
+    sys.exit(code if isinstance(code, int) else 0)
 
 
-__all__ = ["app", "batch", "export", "identify", "loop", "main", "spread", "tune"]
+__all__ = [
+    "app",
+    "batch",
+    "compare",
+    "export",
+    "identify",
+    "init",
+    "loop",
+    "main",
+    "spread",
+    "tune",
+]

@@ -28,6 +28,7 @@ from hydrojax.jax_setup import set_up_jax, user_cache
 
 @app.command()
 def batch(
+    context: typer.Context,
     jobs: Annotated[
         Path,
         typer.Argument(
@@ -63,11 +64,12 @@ def batch(
     Run again, a fleet that was stopped goes on where it was, and one that is done does
     nothing. A bad log fails on its own; the rest continue.
     """
-    check_out(out)
+    check_out(context, out)
     if command not in ("identify", "trace"):
         raise InputError(f"invalid --command {command!r}: expected identify or trace")
     set_up_jax(user_cache())
     load_effects(effects)
+    from hydrojax.workflows.fleet.merged import named
     from hydrojax.workflows.fleet.run import Stopped, run_fleet
     from hydrojax.workflows.fleet.work import Options
 
@@ -81,9 +83,11 @@ def batch(
     except Stopped as stop:
         errors.print(
             f"hydrojax: stopped: {stop}; give the same command again to go on",
-            style=None, markup=False, emoji=False, soft_wrap=True,
+            style=None, soft_wrap=True,
         )  # fmt: skip
         raise typer.Exit(130) from None
     what = f"{ran.jobs} jobs, {ran.done} done now"
     console.print(f"{what}, {ran.failed} failed" if ran.failed else what)
-    console.print(f"fleet.html and fleet.parquet in {out}", markup=False, emoji=False)
+    for line in named(out, 20):
+        console.print(line, soft_wrap=True)
+    console.print(f"fleet.html and fleet.parquet in {out}")

@@ -23,6 +23,7 @@ from hydrojax.report.files import write_all
 
 @app.command()
 def export(
+    context: typer.Context,
     rig: RigPath,
     to: Annotated[
         list[str],
@@ -38,7 +39,7 @@ def export(
     effects: Effects = None,
 ) -> None:
     """Write a rig for MATLAB, Modelica, an FMI master or your own firmware."""
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import export
@@ -55,5 +56,5 @@ def export(
                 )
         write_all(out, made.files)
     for note in made.notes:
-        console.print(f"note: {note}", markup=False, soft_wrap=True)
-    console.print(f"{', '.join(made.files)} in {out}", markup=False, soft_wrap=True)
+        console.print(f"note: {note}", soft_wrap=True)
+    console.print(f"{', '.join(made.files)} in {out}", soft_wrap=True)

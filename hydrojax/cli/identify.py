@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from importlib import resources
+from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from hydrojax.cli.options import (
     Effects,
+    FailOn,
     Horizon,
+    Json,
     Level,
     Logs,
     Matters,
     Out,
     Profile,
+    Quiet,
     RigPath,
     app,
     check_out,
+    check_report,
+    check_verdicts,
     console,
     load_effects,
     show_progress,
@@ -41,37 +49,46 @@ Test = typer.Option(
 
 @app.command()
 def check(
+    context: typer.Context,
     rig: RigPath,
     logs: Annotated[
         list[Path],
         typer.Argument(
-            help="Logs of the rig: CSV(.gz), Parquet, MAT, MCAP or a ROS 2 bag's "
-            "folder.",
+            help="Logs of the rig: CSV(.gz), Parquet, MAT, Excel, TDMS, MCAP or a "
+            "ROS 2 bag's folder.",
             show_default=False,
         ),
     ],
     out: Annotated[
         Path | None, typer.Option(help="Folder for a page and a table.")
     ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
     effects: Effects = None,
 ) -> None:
     """Say what the logs hold, and which inputs look wrong: signs, units, factors."""
     if out is not None:
-        check_out(out)
+        check_out(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import api
 
-    with show_progress():
+    with show_progress(quiet):
         found = api.check(rig, logs)
-    console.print(found.summary(), markup=False, soft_wrap=True, end="")
     if out is not None:
         found.save(out)
-        console.print(f"\npage in {out / 'check.html'}", markup=False)
+    if json:
+        print_json(found.to_dict())
+    if json or quiet:
+        return
+    console.print(found.summary(), soft_wrap=True, end="")
+    if out is not None:
+        console.print(f"\npage in {out / 'check.html'}")
 
 
 @app.command()
 def identify(
+    context: typer.Context,
     rig: RigPath,
     logs: Logs,
     validate: Annotated[list[Path] | None, Validate] = None,
@@ -81,23 +98,28 @@ def identify(
     starts: Annotated[int, typer.Option(help="Number of starts.", min=1)] = 4,
     profile: Profile = False,
     effects: Effects = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    fail_on: FailOn = None,
 ) -> None:
     """Fit the declared model to logs; report errors and parameter uncertainties."""
-    check_out(out)
+    failing = check_verdicts(fail_on)
+    check_report(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import api
 
-    with show_progress() as progress:
+    with show_progress(quiet) as progress:
         result = api.fit(
             rig, logs, validate or (), test or (), horizon=horizon, starts=starts,
             profile=profile, progress=progress,
         )  # fmt: skip
-    _finish(result, out)
+    _finish(result, out, json, quiet, failing)
 
 
 @app.command()
 def trace(
+    context: typer.Context,
     rig: RigPath,
     logs: Logs,
     validate: Annotated[list[Path], Validate],
@@ -109,43 +131,62 @@ def trace(
     level: Level = 0.01,
     profile: Profile = False,
     effects: Effects = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    fail_on: FailOn = None,
 ) -> None:
     """Close the loop: fit, residual, the effect behind it, refit, before and after."""
-    check_out(out)
+    failing = check_verdicts(fail_on)
+    check_report(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import api
     from hydrojax.identify.tracing.criteria import Criteria
 
-    with show_progress() as progress:
+    with show_progress(quiet) as progress:
         result = api.trace(
             rig, logs, validate, test or (), horizon=horizon, starts=starts,
             criteria=Criteria(matters=matters, level=level), profile=profile,
             progress=progress,
         )  # fmt: skip
-    _finish(result, out)
+    _finish(result, out, json, quiet, failing)
 
 
 @app.command()
-def demo(out: Out = Path("hydrojax-demo")) -> None:
+def demo(context: typer.Context, out: Out = Path("hydrojax-demo")) -> None:
     """Run `trace` on a rig and logs that come with the package."""
     folder = resources.files("hydrojax") / "demo"
     with resources.as_file(folder) as here:
         console.print("trace of the demo rig: two logs to fit, one to check\n")
         logs = [here / "fit_1.csv.gz", here / "fit_2.csv.gz"]
-        trace(here / "rig.toml", logs, [here / "validate.csv.gz"], out=out)
+        trace(context, here / "rig.toml", logs, [here / "validate.csv.gz"], out=out)
 
 
-def _finish(result: Result, out: Path) -> None:
-    """Write the report and print its summary."""
+def _finish(
+    result: Result, out: Path, json: bool, quiet: bool, failing: Collection[str]
+) -> None:
+    """Write the report and print its summary; leave with 1 on a failing verdict."""
     result.save(out)
-    print_outcome(result.outcome)
-    spent = result.outcome.seconds
-    console.print(
-        f"\ncompile {spent['compile']:.1f} s, run {spent['run']:.1f} s; "
-        f"report in {out / 'report.html'}",
-        markup=False,
-    )
+    outcome = result.outcome
+    if json:
+        from hydrojax.identify.results.report_json import report_json
+
+        print_json(report_json(outcome))
+    elif not quiet:
+        print_outcome(outcome)
+        spent = outcome.seconds
+        console.print(
+            f"\ncompile {spent['compile']:.1f} s, run {spent['run']:.1f} s; "
+            f"report in {out / 'report.html'}",
+            soft_wrap=True,
+        )
+    if outcome.verdict in failing:
+        raise typer.Exit(1)
+
+
+def print_json(content: object) -> None:
+    """Print a result for other programs."""
+    print(dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
 
 
 def print_outcome(outcome: Outcome) -> None:
@@ -153,8 +194,8 @@ def print_outcome(outcome: Outcome) -> None:
     from hydrojax.identify.results.outcome import skill_text
     from hydrojax.report.text import quantity_text
 
-    console.print(outcome.verdict, style="bold", end="  ")
-    console.print(f"{outcome.sentence}\n", markup=False)
+    said = Text.assemble((outcome.verdict, "bold"), "  ", outcome.sentence, "\n")
+    console.print(said)
     table = Table("channel", "noise", "before", "after", "after / noise", "skill")
     for name, c in outcome.channels.items():
         table.add_row(
@@ -174,7 +215,7 @@ def print_outcome(outcome: Outcome) -> None:
             if effect.cannot_tell_from
             else ""
         )
-        console.print(f"{effect.name}: {found}{alike}", markup=False)
+        console.print(f"{effect.name}: {found}{alike}")
     says = (f"{f.input}: {f.says}" for f in outcome.inputs[1:])
     for line in (*says, *outcome.limits, *outcome.notes):
-        console.print(f"- {line}", markup=False)
+        console.print(f"- {line}")

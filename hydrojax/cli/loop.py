@@ -17,6 +17,7 @@ from hydrojax.cli.options import (
     app,
     check_file,
     check_out,
+    check_report,
     console,
     load_effects,
     show_progress,
@@ -24,7 +25,7 @@ from hydrojax.cli.options import (
 from hydrojax.cli.words import read_gains
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
-from hydrojax.report.files import write_all
+from hydrojax.report.files import digest, write_all
 
 
 @app.command()
@@ -77,11 +78,10 @@ def simulate(
                 gains=read_gains(gains or []), out=out,
             )  # fmt: skip
     for line in run.notes:
-        console.print(f"warning: {line}", markup=False)
+        console.print(f"warning: {line}")
     console.print(
         f"{run.t.size} samples in {out}; F_d - F {run.rms_error:.3g} N RMS after the "
         f"first quarter; command saturated in {100 * run.saturated:.1f} % of them",
-        markup=False,
     )
 
 
@@ -150,6 +150,7 @@ def excite(
 
 @app.command()
 def bounds(
+    context: typer.Context,
     rig: RigPath,
     logs: Logs,
     validate: Annotated[
@@ -167,7 +168,7 @@ def bounds(
     effects: Effects = None,
 ) -> None:
     """Find the adaptive law's friction bounds from many fits, and refine them."""
-    check_out(out)
+    check_report(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     import json
@@ -181,9 +182,11 @@ def bounds(
         case = open_case(rig, logs, validate or ())
         found = friction_bounds(case, confidence, stretch, progress)
         figure = bounds_figure(found)
+    rig_toml = found.rig_file.encode()
+    record = content(found) | {"rig_toml_sha256": digest(rig_toml)}
     files = {
-        "rig.toml": found.rig_file.encode(),
-        "bounds.json": (json.dumps(content(found), indent=1) + "\n").encode(),
+        "rig.toml": rig_toml,
+        "bounds.json": (json.dumps(record, indent=1) + "\n").encode(),
         "bounds.png": png(figure),
     }
     write_all(out, files)
@@ -199,9 +202,9 @@ def bounds(
 
 
 @app.command()
-def paper(out: Out = Path("hydrojax-paper")) -> None:
+def paper(context: typer.Context, out: Out = Path("hydrojax-paper")) -> None:
     """Repeat the paper's experiments on the reference rig: Figs. 2 to 5."""
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache(), LOOPS)
     import json
 

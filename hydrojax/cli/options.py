@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,22 +20,26 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, check_known
+from hydrojax.report.files import check_untouched, claim
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # brackets in help texts are what a rig file has
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Find the effect behind the residual of a hydraulic force-control model.",
 )
-console = Console()
-errors = Console(stderr=True)
+console = Console(markup=False, emoji=False)
+"""Names of files and rigs are printed as they are: `[/b]` is no markup in them."""
+errors = Console(stderr=True, markup=False, emoji=False)
 
 RigPath = Annotated[Path, typer.Argument(help="Rig file (TOML).", show_default=False)]
 Logs = Annotated[
     list[Path],
     typer.Argument(
-        help="Logs to fit: CSV(.gz), Parquet, MAT, MCAP or a ROS 2 bag's folder.",
+        help="Logs to fit: CSV(.gz), Parquet, MAT, Excel, TDMS, MCAP or a ROS 2 bag's "
+        "folder.",
         show_default=False,
     ),
 ]
@@ -46,6 +50,18 @@ Effects = Annotated[
     typer.Option(help="Python file with effects of your own; may be repeated."),
 ]
 
+Json = Annotated[
+    bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+FailOn = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Exit with 1 on these verdicts: unknown, explained, 'nothing missing'; "
+        "all words that follow.",
+        show_default=False,
+    ),
+]
 
 Gains = Annotated[
     list[str] | None,
@@ -87,10 +103,10 @@ Profile = Annotated[
 
 
 @contextmanager
-def show_progress() -> Iterator[Callable[[str], None]]:
+def show_progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """A line that says what is being done, and for how long it has been."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    quiet = not errors.is_terminal  # else a log file gets an empty line
+    quiet = quiet or not errors.is_terminal  # else a log file gets an empty line
     with Progress(*columns, console=errors, transient=True, disable=quiet) as bar:
         task = bar.add_task("read the logs")
         yield lambda what: bar.update(task, description=what)
@@ -109,21 +125,53 @@ def counted(what: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def check_out(out: Path) -> None:
-    """Refuse a folder that cannot be written, before any work."""
+def check_out(context: typer.Context, out: Path) -> None:
+    """Hold a folder until the command ends, before any work: see `files.claim`.
+
+    Raises:
+        InputError: it is no folder, cannot be written to, or another run holds it.
+    """
     for path in (out, *out.parents):
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file: name a folder with --out")
-    there = next(path for path in (out, *out.absolute().parents) if path.exists())
-    if not os.access(there, os.W_OK):
-        raise InputError(f"{out}: cannot be written to: name another folder with --out")
+    context.with_resource(claim(out))
+
+
+def check_report(context: typer.Context, out: Path) -> None:
+    """Refuse a folder that cannot be written, or whose rig.toml somebody edited."""
+    check_out(context, out)
+    check_untouched(out)
+
+
+VERDICTS = ("nothing missing", "explained", "unknown")
+
+
+def check_verdicts(named: list[str] | None) -> tuple[str, ...]:
+    """The verdicts that `--fail-on` names.
+
+    Raises:
+        InputError: another word.
+    """
+    check_known("--fail-on:", named or (), VERDICTS, "verdict")
+    return tuple(named or ())
 
 
 def check_file(out: Path) -> None:
     """Refuse a file that cannot be written, before any work."""
     if out.is_dir():
         raise InputError(f"{out}: is a folder: name a file with --out")
-    check_out(out.parent)
+    for path in out.parents:
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file: name a folder with --out")
+    there = next(path for path in out.absolute().parents if path.exists())
+    try:
+        with tempfile.TemporaryFile(dir=there) as probe:
+            probe.write(b" " * 4096)
+    except OSError as err:
+        raise InputError(
+            f"{out}: cannot be written to ({err.strerror}): name another file with "
+            "--out"
+        ) from err
 
 
 def load_effects(files: list[Path] | None) -> None:

@@ -12,7 +12,7 @@ from hydrojax.control import inputs
 from hydrojax.control.inputs import AbstractMotion, AbstractReference
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
-from hydrojax.rigfile.recording import KINDS
+from hydrojax.logs.tables import TABLES
 from hydrojax.rigfile.scenarios import LoggedForce, LoggedMotion
 from hydrojax.rigfile.schema import RigFile
 
@@ -63,7 +63,7 @@ def _log(word: str, kinds: Mapping[str, object], spec: RigFile) -> Log | None:
     """The log that a word names, if it names one."""
     if word.partition(":")[0] in kinds:
         return None
-    if word.lower().endswith((*KINDS, ".mcap")) or Path(word).exists():
+    if word.lower().endswith((*TABLES, ".mcap")) or Path(word).exists():
         return Log.load(word, spec.channels)
     near = get_close_matches(word.partition(":")[0], kinds, n=1, cutoff=0.5)
     mend = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(kinds)}"

@@ -17,16 +17,20 @@ from hydrojax.cli.options import (
     RigPath,
     app,
     check_out,
+    check_report,
     console,
     counted,
     load_effects,
     show_progress,
 )
 from hydrojax.cli.words import read_axes, read_gains, read_point
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, check_known
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
+from hydrojax.report.files import settle, write_all
+from hydrojax.report.page import png
 
 if TYPE_CHECKING:
+    from hydrojax.tune.aims import Aim as AnyAim
     from hydrojax.tune.result import Tuned
 
 
@@ -72,14 +76,18 @@ Free = Annotated[
     list[str] | None,
     typer.Option(
         help="What is tuned: k_p, k_f, k_1, tau_d …: all words that follow.",
-        show_default="k_p k_f k_1, and A_a where a load moves",
+        show_default="k_p k_f k_1, the rates of adaptation, and A_a where a load moves",
     ),
 ]
-Adaptation = Annotated[
-    bool,
+Aim = Annotated[
+    str,
     typer.Option(
-        "--adaptation", help="Tune the rates and bounds of the adaptation too."
+        help="What is made as large as it can be: following, magnitude, tracking or "
+        "rejection."
     ),
+]
+Tolerance = Annotated[
+    float, typer.Option(help="Of |1 - F/F_d| in the band that follows.", min=0.01)
 ]
 Peak = Annotated[float, typer.Option(help="Largest resonance, dB.", min=0.1)]
 Margin = Annotated[
@@ -98,6 +106,7 @@ Starts = Annotated[int, typer.Option(help="Number of descents.", min=1)]
 
 @app.command()
 def sweep(
+    context: typer.Context,
     rig: RigPath,
     over: Over,
     by: By = None,
@@ -116,7 +125,7 @@ def sweep(
     Run again, a sweep that was stopped goes on where it was, and one that is done does
     nothing.
     """
-    check_out(out)
+    check_out(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from hydrojax.rigfile.schema import RigFile
@@ -140,8 +149,8 @@ def sweep(
 
             share_sweep(file, arguments, effects or (), out, cluster, progress)
         data = api.sweep(file, **arguments, out=out, progress=progress)
-    for name, figure in plots.sweep_figures(data).items():
-        figure.savefig(out / f"{name}.png", dpi=120)
+    drawn = plots.sweep_figures(data).items()
+    write_all(out, {f"{name}.png": png(figure, 120) for name, figure in drawn})
     for line in sentences(data):
         console.print(line)
     console.print(f"sweep.nc and pictures in {out}")
@@ -149,27 +158,33 @@ def sweep(
 
 @app.command()
 def tune(
+    context: typer.Context,
     source: Source,
     rig: SourceRig = None,
     free: Free = None,
     at: At = None,
-    adaptation: Adaptation = False,
+    objective: Aim = "following",
+    tolerance: Tolerance = 0.2,
     ensemble: Ensemble = 8,
     spread: Spread = 0.2,
     peak: Peak = 3.0,
     margin: Margin = 6.0,
     noise: Noise = 0.01,
-    tracking: Tracking = 3.0,
-    starts: Starts = 3,
+    tracking: Tracking = 1.0,
+    starts: Starts = 2,
     effects: Effects = None,
     out: Out = Path("hydrojax-tune"),
 ) -> None:
-    """Find the gains that give the widest bandwidth, and say what limits it."""
-    check_out(out)
+    """Find the gains with which the force follows best, and say what limits it.
+
+    Gains are proposed only if they hold in simulated runs on every plant; exit 1, and
+    what stands in the way, where there are none.
+    """
+    check_report(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from hydrojax.tune import api
-    from hydrojax.tune.objective import Limits
+    from hydrojax.tune.aims import Limits
 
     limits = Limits(peak_dB=peak, sensitivity_dB=margin, noise=noise, tracking=tracking)
     folder = source if source.is_dir() else None
@@ -179,7 +194,7 @@ def tune(
             free or (),
             limits,
             at=read_point(at or ()),
-            adaptation=adaptation,
+            aim=_aim(objective, tolerance),
             plants=ensemble,
             spread=spread,
             findings=folder,
@@ -190,6 +205,19 @@ def tune(
         tuned.save(out)
     _print(tuned)
     console.print(f"tune.json, rig.toml and report.html in {out}")
+    if tuned.obstacles:
+        raise typer.Exit(1)
+
+
+def _aim(word: str, tolerance: float) -> AnyAim:
+    """The aim of a word."""
+    from hydrojax.tune import aims
+
+    known = {kind.word: kind for kind in aims.AIMS}
+    check_known("--objective:", [word], known, "objective")
+    if word == aims.Following.word:
+        return aims.Following(tolerance)
+    return known[word]()
 
 
 def _print(tuned: Tuned) -> None:
@@ -212,6 +240,7 @@ def _rig_of(folder: Path, rig: Path | None) -> Path:
     """The rig file of a folder of identify or trace."""
     if rig is not None:
         return rig
+    settle(folder)
     if (folder / "rig.toml").exists():
         return folder / "rig.toml"
     raise InputError(

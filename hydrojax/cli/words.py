@@ -8,6 +8,7 @@ import numpy as np
 
 from hydrojax import units
 from hydrojax.errors import InputError
+from hydrojax.limits import COUNT
 
 
 def read_axes(words: Sequence[str]) -> dict[str, list[float | str]]:
@@ -50,7 +51,9 @@ def _range(text: str, where: str) -> list[float | str]:
             f"{where}: write START:STOP:COUNT, and :log for a logarithmic scale"
         )
     (start, unit), (stop, other) = (units.split(p, where) for p in ends[:2])
-    count = int(ends[2]) if ends[2].isdigit() else 0
+    count = int(ends[2]) if ends[2].isdecimal() and len(ends[2]) < 10 else 0
+    if count > COUNT:
+        raise InputError(f"{where}: a count of {count} is more than {COUNT}")
     if count < 2 or (start, unit) == (stop, other):
         raise InputError(f"{where}: give two ends and a count of 2 or more")
     if unit != other:
@@ -81,6 +84,21 @@ def read_point(words: Sequence[str], option: str = "--at") -> dict[str, float | 
         if not sign or not text:
             raise InputError(f"{where}: write NAME=VALUE, such as v=0.01")
         out[name] = _number(text, where)
+    return out
+
+
+def read_columns(words: Sequence[str]) -> dict[str, str]:
+    """`signal=column` words as columns by signal.
+
+    Raises:
+        InputError: words of another form.
+    """
+    out: dict[str, str] = {}
+    for word in words:
+        name, sign, text = (part.strip() for part in word.partition("="))
+        if not sign or not text:
+            raise InputError(f"--column {word!r}: write SIGNAL=COLUMN, such as u=MainU")
+        out[name] = text
     return out
 
 

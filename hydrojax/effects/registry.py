@@ -21,6 +21,7 @@ import numpy as np
 
 from hydrojax import units
 from hydrojax.errors import InputError
+from hydrojax.limits import TEXT, read_text
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.places import PLACES
@@ -49,19 +50,14 @@ def load_effects(
             cannot be taken; in one line, with the mend.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as err:
-        raise InputError(
-            f"{path}: cannot be read as a Python file; check --effects"
-        ) from err
+    text = read_text(path, TEXT, "check that --effects names a Python file")
     source = str(path.resolve())
     module = ModuleType(f"hydrojax_own_{path.stem}")
     module.__file__ = source
     sys.modules[module.__name__] = module  # where dataclasses look a class's names up
     try:
         exec(compile(text, source, "exec"), module.__dict__)
-    except Exception as err:
+    except (Exception, SystemExit) as err:  # a file that ends the program defines none
         _broken(path, source, err)
     found = _of_module(module)
     if not found:
@@ -83,7 +79,7 @@ def offered(vocabulary: dict[str, type[Effect]]) -> dict[str, type[Effect]]:
         where = f"entry point {point.name!r} of {GROUP} ({point.value})"
         try:
             given = point.load()
-        except Exception as err:
+        except (Exception, SystemExit) as err:
             said = " ".join(f"{type(err).__name__}: {err}".split())
             raise InputError(
                 f"{where}: cannot be loaded: {said}; mend or uninstall its package"
@@ -149,7 +145,7 @@ def _of_module(module: ModuleType) -> list[type[Effect]]:
     ]
 
 
-def _broken(path: Path, source: str, error: Exception) -> NoReturn:
+def _broken(path: Path, source: str, error: BaseException) -> NoReturn:
     """Say in one line where a file stopped."""
     line = getattr(error, "lineno", None)
     if line is None:

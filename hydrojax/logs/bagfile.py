@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping
+import struct
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydrojax.errors import InputError
+from hydrojax.limits import SPARED
 from hydrojax.logs.tables import unreadable
 
 if TYPE_CHECKING:
     from mcap.reader import McapReader
     from mcap.records import Channel, Schema
+
+
+_CHUNK = 6
+"""Kind of an MCAP record that holds others, compressed."""
+
+_TEXT, _FIELDS, _ELEMENTS, _NUMBERS = 2**18, 2000, 100, 1_000_000
+"""Most bytes of a message's description, its fields, and elements of a fixed array: of
+texts or messages, and of numbers."""
 
 
 class Message(NamedTuple):
@@ -85,6 +95,7 @@ def _kind(path: Path) -> str:
 def _mcap(path: Path) -> Iterator[Bag]:
     from mcap.reader import make_reader
 
+    _check_chunks(path)
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         types: dict[str, tuple[str, Schema | None]] = {}
@@ -111,6 +122,31 @@ def _mcap(path: Path) -> Iterator[Bag]:
                 yield Message(c.topic, m.publish_time, m.log_time, m.data)
 
         yield Bag(topics, decoder, messages)
+
+
+def _check_chunks(path: Path) -> None:
+    """Refuse an MCAP file with a chunk that says that it expands beyond measure.
+
+    The library takes a chunk's memory by what its header says, at once.
+    """
+    with path.open("rb") as file:
+        file.seek(8)  # the magic bytes, which the library checks
+        while len(tag := file.read(9)) == 9:
+            kind, size = struct.unpack("<BQ", tag)
+            at = file.tell()
+            if kind == _CHUNK:
+                head = file.read(24).ljust(24, b"\0")
+                if struct.unpack_from("<Q", head, 16)[0] > SPARED:
+                    raise InputError(
+                        f"{path}: a chunk expands to more than {SPARED >> 20} MiB; "
+                        "record with smaller chunks"
+                    )
+            if size > SPARED and at + size > path.stat().st_size:
+                raise InputError(
+                    f"{path}: ends inside a record of {size} bytes; record it again, "
+                    "or try `mcap recover`"
+                )
+            file.seek(at + size)
 
 
 def _channels(reader: McapReader) -> Iterator[tuple[Schema | None, Channel, int]]:
@@ -164,6 +200,8 @@ def _cdr(where: str, name: str, text: str, idl: bool) -> Callable[[bytes], Any]:
     from rosbags.typesys.msg import normalize_msgtype
 
     try:
+        if len(text) > _TEXT:
+            raise ValueError(f"a description of {len(text)} bytes is too long")
         name = normalize_msgtype(name)
         store = typesys.get_typestore(
             typesys.Stores.EMPTY if text else typesys.Stores.LATEST
@@ -172,9 +210,11 @@ def _cdr(where: str, name: str, text: str, idl: bool) -> Callable[[bytes], Any]:
         for part in text.split(rule)[1:] if idl and text.startswith(rule) else [text]:
             if idl:
                 part = part.partition("\n")[2] if part.startswith("IDL: ") else part
-                store.register(typesys.get_types_from_idl(part))
-            elif part:
-                store.register(typesys.get_types_from_msg(part, name))
+                types = typesys.get_types_from_idl(part)
+            else:
+                types = typesys.get_types_from_msg(part, name) if part else {}
+            _check_types(types)
+            store.register(types)
         store.get_msgdef(name)
     except Exception as err:
         raise InputError(
@@ -183,3 +223,26 @@ def _cdr(where: str, name: str, text: str, idl: bool) -> Callable[[bytes], Any]:
             "as MCAP does"
         ) from err
     return lambda data: store.deserialize_cdr(data, name)
+
+
+def _check_types(types: Mapping[str, tuple[Any, Sequence[tuple[str, Any]]]]) -> None:
+    """Refuse types that take minutes or gigabytes to compile.
+
+    Code is generated for every field, and for every element of a fixed array that is
+    not of numbers.
+
+    Raises:
+        ValueError: types beyond `_FIELDS` and `_ELEMENTS`.
+    """
+    from rosbags.interfaces import Nodetype
+
+    fields = [kind for _, own in types.values() for _, kind in own]
+    if len(fields) > _FIELDS:
+        raise ValueError(f"{len(fields)} fields are more than {_FIELDS}")
+    for kind, what in fields:
+        if kind != Nodetype.ARRAY:
+            continue
+        (inner, base), count = what
+        numbers = inner == Nodetype.BASE and base[0] != "string"
+        if count > (_NUMBERS if numbers else _ELEMENTS):
+            raise ValueError(f"an array of {count} elements is too long")

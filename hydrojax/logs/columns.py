@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float
 
 from hydrojax import units
 from hydrojax.errors import InputError
-from hydrojax.logs.tables import SIGNALS, Channel, Column, File, is_bag
+from hydrojax.logs.dates import clock_seconds
+from hydrojax.logs.tables import SIGNALS, Channel, Column, File, is_bag, tidy
 
 _WILD = 1e15  # SI; no signal comes near it
 
@@ -31,7 +32,7 @@ def assigned(
     found, notes = {}, []
     for name in SIGNALS:
         channel = channels.get(name)
-        wanted = name if channel is None else channel.column.strip()
+        wanted = name if channel is None else tidy(file.path, channel.column)
         matches = [c for c in file.columns if wanted in (c.name, c.label)]
         if len(matches) > 1:
             raise InputError(
@@ -71,6 +72,8 @@ def si_values(
     """A signal in SI, [n], NaN where it has no finite number, and its unit."""
     where = f"{file.path}: column {column.label!r}"
     want = SIGNALS[name]
+    if name == "time" and (dates := clock_seconds(file, where, column)) is not None:
+        return dates, want
     if name == "u":
         want = "V" if unit is not None and units.fits(unit, "V") else "1"
     if unit is None:
@@ -89,7 +92,7 @@ def si_values(
         )
     if name == "u" and not units.fits(unit, want):
         raise InputError(f"{where}: unit {unit!r} is neither V nor 1; give u in either")
-    values = _numbers(file, where, column.values)
+    values = numbers(file, where, column.values)
     with np.errstate(over="ignore"):
         found = units.to_si(values, unit, want, where)
     wild = np.flatnonzero(np.abs(found) > _WILD)
@@ -101,10 +104,10 @@ def si_values(
     return found, want
 
 
-def _numbers(file: File, where: str, values: Any) -> np.ndarray:
+def numbers(file: File, where: str, values: Any) -> np.ndarray:
     """A column's cells as floats, [n], NaN where empty or infinite."""
-    shape = np.shape(values)
-    if not shape or np.size(values) != max(shape):
+    plain = isinstance(values, (pd.Series, np.ndarray)) and values.dtype.names is None
+    if not plain or not values.shape or values.size != max(values.shape):
         raise InputError(f"{where} is not a vector; store it as one")
     cells = values if isinstance(values, pd.Series) else pd.Series(np.ravel(values))
     if cells.dtype.kind not in "biuf":  # text, or objects

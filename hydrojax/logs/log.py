@@ -9,6 +9,7 @@ MCAP file or a ROS 2 bag it says which topic and field a signal is; see `bags`.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,8 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, one_line
+from hydrojax.limits import WORD
 from hydrojax.logs.columns import (
     assigned,
     check_time,
@@ -70,7 +72,7 @@ class Log:
         channels: Mapping[str, Channel] | None = None,
         shortest: float = SHORTEST,
     ) -> Log:
-        """Read a run from .csv, .csv.gz, .parquet, .mat (v5 or v7.3), .mcap or a bag.
+        """Read a run from a file of `tables.TABLES`, .mcap or a bag.
 
         Gaps in time and missing numbers cut the run in segments: nothing is
         interpolated over them. See `rosbag.read_bag` for what brings a bag's channels
@@ -161,7 +163,9 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
             f"{path}: no stretch of {shortest:g} s without a gap or a missing number "
             f"({why}); log longer, or take the column with the holes out"
         )
-    name = path.absolute().name  # of "." too
+    # Of "." too; bytes that are no text would end a report half way.
+    name = os.fsencode(path.absolute().name).decode(errors="replace")
+    name = one_line(name, WORD)
     return Log(
         name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts),
         dict(channels),

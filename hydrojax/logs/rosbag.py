@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, one_line
+from hydrojax.limits import WORD
 from hydrojax.logs.bagfile import Bag, open_bag
 from hydrojax.logs.clocks import Stream
 from hydrojax.logs.resample import on_one_base
@@ -74,7 +75,10 @@ def read_bag(path: Path, columns: Mapping[str, str]) -> File:
         [
             Column("time", "time", "s", time),
             *found,
-            *(Column(topic, topic, None, np.empty(0)) for topic in sorted(others)),
+            *(
+                Column(t, t, None, np.empty(0))
+                for t in sorted(one_line(topic, WORD) for topic in others)
+            ),
         ],
         header=0,
         notes=tuple(notes),
@@ -83,7 +87,7 @@ def read_bag(path: Path, columns: Mapping[str, str]) -> File:
 
 def _places(path: Path, bag: Bag, columns: Mapping[str, str]) -> dict[str, _Place]:
     """Where each signal is."""
-    topics = [topic for topic, count in bag.topics.items() if count]
+    topics = [t for t, count in bag.topics.items() if count and t.isprintable()]
     if not topics:
         raise InputError(f"{path}: the bag holds no message; record the log again")
     if not columns:

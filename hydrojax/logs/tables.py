@@ -1,27 +1,41 @@
-"""What a log may hold; files of columns: CSV, Parquet, MAT v5 and v7.3."""
+"""What a log may hold; files of columns: CSV, Parquet, MAT v5 and v7.3, Excel, TDMS."""
 
 from __future__ import annotations
 
+import importlib
 import re
-import warnings
-from collections.abc import Mapping
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pandas as pd
-import scipy.io
 from pydantic import BaseModel, ConfigDict
 
-from hydrojax.errors import InputError
+from hydrojax import units
+from hydrojax.errors import InputError, one_line
+from hydrojax.limits import WORD, check_expansion, check_members
+from hydrojax.logs.matfile import read_mat
+from hydrojax.logs.texts import Head, head_of, read_text
 
 SIGNALS = {
     "time": "s", "u": "{u}", "psi": "rad", "x": "m", "v": "m/s", "P_a1": "Pa",
     "P_a2": "Pa", "P_s": "Pa", "P_r": "Pa", "P": "N", "F": "N", "F_d": "N",
 }  # fmt: skip
 """What a log may hold, and the SI unit; `{u}` is V or 1."""
+
+
+TABLES = {
+    ".csv": "CSV", ".csv.gz": "gzipped CSV", ".txt": "text", ".tsv": "text",
+    ".parquet": "Parquet", ".mat": "MAT", ".xlsx": "Excel", ".tdms": "TDMS",
+}  # fmt: skip
+"""Files of columns, by how their names end."""
+
+
+_CELL = 64
+"""Bytes that a cell of a sheet takes, about."""
 
 
 class Channel(BaseModel):
@@ -65,26 +79,27 @@ def read_table(path: Path) -> File:
     Raises:
         InputError: no such file, an unknown kind, or contents that are not that kind.
     """
-    kinds = {
-        ".csv": ("CSV", _csv), ".csv.gz": ("gzipped CSV", _csv),
-        ".parquet": ("Parquet", _parquet), ".mat": ("MAT", _mat),
-    }  # fmt: skip
-    ending = next((e for e in kinds if path.name.lower().endswith(e)), None)
+    ending = next((e for e in TABLES if path.name.lower().endswith(e)), None)
     if ending is None:
         raise InputError(
-            f"{path}: not a kind of log; save it as {', '.join(kinds)} or .mcap"
+            f"{path}: not a kind of log; save it as {', '.join(TABLES)} or .mcap"
         )
     if not path.is_file():
         raise InputError(f"{path}: no such file; check the path")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; export the log again")
-    kind, reader = kinds[ending]
+    kinds = {
+        "CSV": _csv, "gzipped CSV": _csv, "text": _csv, "Parquet": _parquet,
+        "MAT": _mat, "Excel": _xlsx, "TDMS": _tdms,
+    }  # fmt: skip
+    kind = TABLES[ending]
     try:
-        columns = reader(path)
+        return kinds[kind](path)
+    except InputError:
+        raise
     except Exception as err:  # every library has its own kinds for a broken file
         mend = f"export it again as {kind}"
         raise unreadable(path, f"{kind} file", err, mend) from err
-    return File(path, columns, header=1 if reader is _csv else 0)
 
 
 def is_bag(path: Path) -> bool:
@@ -97,9 +112,12 @@ def table_of(frame: pd.DataFrame, units: Mapping[str, str], name: str) -> File:
     if any(own is not None for own in frame.index.names):
         frame = frame.reset_index()
     given = {**frame.attrs.get("units", {}), **units}
-    columns = [_labelled(label, frame.iloc[:, i]) for i, label in enumerate(frame)]
+    path = Path(name)
+    columns = [
+        _labelled(path, label, frame.iloc[:, i]) for i, label in enumerate(frame)
+    ]
     columns = [replace(c, unit=given.get(c.name, c.unit)) for c in columns]
-    return File(Path(name), columns, header=0)
+    return File(path, columns, header=0)
 
 
 def unreadable(path: Path, kind: str, error: Exception, mend: str) -> InputError:
@@ -110,39 +128,66 @@ def unreadable(path: Path, kind: str, error: Exception, mend: str) -> InputError
     )
 
 
-def _labelled(label: object, values: Any) -> Column:
-    """A column called `name [unit]`."""
-    text = str(label).strip()
-    match = re.fullmatch(r"(.*?)\s*\[(.*)\]", text)
-    if match is None:
-        return Column(text, text, None, values)
-    return Column(text, match[1], match[2].strip() or None, values)
+_UNIT = re.compile(r"(.*?)\s*\[(.*)\]|(.*?\S)\s*(?:\(([^()]*)\)|\s/\s(\S+))")
+"""`name [unit]`; and `name (unit)`, `name / unit`, where it is a unit of a signal."""
 
 
-def _csv(path: Path) -> list[Column]:
-    options: dict[str, Any] = {
-        "compression": "gzip" if path.name.lower().endswith(".gz") else None,
-        "encoding": "utf-8-sig",
-        "skipinitialspace": True,
-        "header": None,
-        "skip_blank_lines": False,  # so that rows can be counted in lines
-        "index_col": False,
-    }
-    labels = pd.read_csv(path, nrows=1, dtype=str, **options).iloc[0].fillna("")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", pd.errors.ParserWarning)  # cells lost
-        frame = pd.read_csv(
-            path, skiprows=1, names=range(len(labels)), low_memory=False, **options
+def tidy(path: Path, name: str) -> str:
+    """A column's name in one line, as it is compared and shown.
+
+    Raises:
+        InputError: a name that is too long.
+    """
+    if len(name) > WORD:
+        raise InputError(
+            f"{path}: column {one_line(name, 60)!r}: a name of {len(name)} characters "
+            f"is too long; give it one of at most {WORD}"
         )
-    filled = np.flatnonzero(frame.notna().any(axis=1))
-    frame = frame.iloc[: filled[-1] + 1 if len(filled) else 0]
-    return [_labelled(label, frame[i]) for i, label in enumerate(labels)]
+    return one_line(" ".join(name.split()))
 
 
-def _parquet(path: Path) -> list[Column]:
+def _labelled(
+    path: Path, label: object, values: Any, below: str | None = None
+) -> Column:
+    """A column called `name [unit]`; `below`: the cell of a row of units."""
+    text = tidy(path, str(label))
+    match = _UNIT.fullmatch(text)
+    if match is None:
+        return Column(text, text, below or None, values)
+    if match[1] is not None:
+        return Column(text, match[1], match[2].strip() or below or None, values)
+    unit = (match[4] or match[5] or "").strip()
+    wants = ("s", "V", "m", "m/s", "rad", "Pa", "N")
+    if not re.search("[a-z%°]", unit) or not any(units.fits(unit, w) for w in wants):
+        return Column(text, text, below or None, values)
+    return Column(text, match[3], unit, values)
+
+
+def _csv(path: Path) -> File:
+    head, values, notes = read_text(path)
+    return _headed(path, head, values, notes)
+
+
+def _headed(path: Path, head: Head, values: Sequence[Any], notes: tuple = ()) -> File:
+    """A file whose labels, and units, stand in rows of it."""
+    check_members(len(head.labels), path)
+    below = head.units or [""] * len(head.labels)
+    columns = [
+        _labelled(path, label, cells, unit)
+        for label, unit, cells in zip(head.labels, below, values, strict=True)
+    ]
+    return File(path, columns, head.lines, notes)
+
+
+def _parquet(path: Path) -> File:
     import pyarrow as pa  # slow to import
     from pyarrow import dataset
+    from pyarrow import parquet as pq
 
+    with pq.ParquetFile(path) as file:
+        said = file.metadata
+        check_members(said.num_columns, path)
+        check_expansion(said.num_rows * said.num_columns * 8, path)
     # Column by column, each let go as it is taken over, and given back to the system,
     # which Arrow's own allocator puts off: long logs are large.
     pool = pa.system_memory_pool()
@@ -151,37 +196,103 @@ def _parquet(path: Path) -> list[Column]:
     del table
     if any(name is not None for name in frame.index.names):
         frame = frame.reset_index()
-    return [_labelled(name, frame.iloc[:, i]) for i, name in enumerate(frame.columns)]
+    columns = [_labelled(path, name, frame.iloc[:, i]) for i, name in enumerate(frame)]
+    return File(path, columns, header=0)
 
 
-def _mat(path: Path) -> list[Column]:
-    if h5py.is_hdf5(path):
-        with h5py.File(path, "r") as file:
-            tree = _from_hdf5(file)
-    else:
-        tree = scipy.io.loadmat(path, simplify_cells=True)
-        tree = {k: v for k, v in tree.items() if not k.startswith("__")}
+def _mat(path: Path) -> File:
+    tree = read_mat(path)
+    check_members(len(tree), path)
     inner = tree.pop("log", {})
     tree |= inner if isinstance(inner, dict) else {"log": inner}
     given = tree.pop("units", {})
+    given = given if isinstance(given, dict) else {}
     said = {k: v for k, v in given.items() if isinstance(v, str)}
     for name in list(tree):
         if f"{name}_unit" in tree:
             said[name] = str(tree.pop(f"{name}_unit"))
-    return [Column(k, k, said.get(k, "").strip() or None, v) for k, v in tree.items()]
+    names = {k: tidy(path, k) for k in tree}
+    columns = [
+        Column(names[k], names[k], said.get(k, "").strip() or None, v)
+        for k, v in tree.items()
+    ]
+    return File(path, columns, header=0)
 
 
-def _from_hdf5(group: h5py.Group) -> dict[str, Any]:
-    """A v7.3 file or struct as a dict; its text is uint16 arrays."""
-    tree = {}
-    for name, item in group.items():
-        if name.startswith("#"):  # MATLAB's store of cells
-            continue
-        if isinstance(item, h5py.Group):
-            tree[name] = _from_hdf5(item)
-        elif isinstance(item, h5py.Dataset):
-            value: Any = item[()]
-            if item.attrs.get("MATLAB_class") == b"char":
-                value = "".join(map(chr, np.ravel(value, order="F")))
-            tree[name] = value.decode() if isinstance(value, bytes) else value
-    return tree
+def _xlsx(path: Path) -> File:
+    """The one sheet of an Excel file that holds a table."""
+    openpyxl = _package(path, "openpyxl", "xlsx")
+    with zipfile.ZipFile(path) as parts:
+        check_expansion(sum(p.file_size for p in parts.infolist()), path)
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    try:
+        sheets = {s.title: list(_rows(s, path)) for s in book.worksheets}
+    finally:
+        book.close()
+    tables = {title: rows for title, rows in sheets.items() if len(rows) > 20}
+    if len(tables) != 1:
+        which = f"{len(tables)} sheets ({', '.join(tables)})" if tables else "no sheet"
+        raise InputError(
+            f"{path}: {which} with more than 20 rows; keep the run's sheet alone"
+        )
+    ((rows),) = tables.values()
+    text = [["" if c is None else str(c) for c in row] for row in rows[:50]]
+    head = head_of(text, str(path))
+    kept = [i for i, label in enumerate(head.labels) if label]
+    filled = [row for row in rows[head.lines :] if any(c is not None for c in row)]
+    values = [
+        pd.Series([r[i] if i < len(r) else None for r in filled]).infer_objects()
+        for i in kept
+    ]
+    below = None if head.units is None else [head.units[i] for i in kept]
+    short = Head([head.labels[i] for i in kept], below, head.lines)
+    return _headed(path, short, values)
+
+
+def _rows(sheet: Any, path: Path) -> Iterator[tuple[Any, ...]]:
+    """The rows of a sheet; one cell far off would make millions of empty ones."""
+    cells = 0
+    for row in sheet.iter_rows(values_only=True):
+        cells += len(row)
+        check_members(len(row), path)
+        check_expansion(_CELL * cells, path)
+        yield row
+
+
+def _tdms(path: Path) -> File:
+    """The channels of a TDMS file; time from their common sampling, if not logged."""
+    nptdms = _package(path, "nptdms", "tdms")
+    with nptdms.TdmsFile.open(path) as file:
+        channels = [c for g in file.groups() for c in g.channels() if len(c)]
+        check_members(len(channels), path)
+        check_expansion(8 * sum(map(len, channels)), path)
+        read = [(c.group_name, c.name, dict(c.properties), c[:]) for c in channels]
+    names = [name for _, name, _, _ in read]
+    columns, steps = [], set()
+    for group, name, given, values in read:
+        label = name if names.count(name) == 1 else f"{group}/{name}"
+        unit = str(given.get("unit_string") or given.get("NI_UnitDescription") or "")
+        columns.append(_labelled(path, label, pd.Series(values), unit.strip()))
+        start = given.get("wf_start_offset", 0.0)
+        steps.add((given.get("wf_increment"), start, len(values)))
+    if not any(c.name == "time" for c in columns) and len(steps) == 1:
+        ((step, start, rows),) = steps
+        if step:
+            time = start + step * np.arange(rows)
+            columns.insert(0, Column("time", "time", "s", time))
+    return File(path, columns, header=0)
+
+
+def _package(path: Path, name: str, extra: str) -> Any:
+    """A package that only one kind of file needs.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as err:
+        raise InputError(
+            f"{path}: reading it needs {name}; pip install 'hydrojax[{extra}]', or "
+            "save the log as CSV"
+        ) from err

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jinja2
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -24,6 +28,13 @@ class Picture:
     def data(self) -> str:
         """The address that holds the picture itself."""
         return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
+
+
+def png(figure: Figure, dpi: int) -> bytes:
+    """A figure as a PNG file, in the style that is set."""
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=dpi)
+    return out.getvalue()
 
 
 def page(template: Path, help_: Iterable[Callable[..., Any]], **values: Any) -> str:

@@ -7,6 +7,8 @@ import re
 
 import numpy as np
 
+from hydrojax.errors import one_line
+
 _PREFIXES = {
     "Pa": {1e9: "G", 1e6: "M", 1e3: "k", 1.0: ""},
     "N": {1e6: "M", 1e3: "k", 1.0: ""},
@@ -73,6 +75,14 @@ def signal_unit(name: str, command: str = "") -> str:
     units |= {"F": "N", "F_d": "N", "P": "Pa", "u": command}
     unit = units.get(stem, "Pa" if stem.startswith("P_") else "")
     return f"{unit or 1}/s" if rate else unit
+
+
+def in_picture(name: str) -> str:
+    """A name of a rig, a log or a label as it may stand in a picture.
+
+    Matplotlib would take what stands between two dollar signs for mathematics.
+    """
+    return one_line(name, 80).replace("$", r"\$")
 
 
 def words(name: str) -> str:

@@ -247,10 +247,4 @@ def _load(file: RigFile) -> Driven | Inertia:
             "stiffness and damping out: the environment then leads the piston"
         )
     rest = {"stiffness": 0.0, "damping": 0.0} | given
-    for name, value in rest.items():
-        if value < 0 or (name == "mass" and value == 0):
-            raise InputError(
-                f"{file.path}: [load] {name} must be "
-                f"{'above' if name == 'mass' else 'at least'} 0, not {value:g}"
-            )
     return Inertia(**{name: _array(v) for name, v in rest.items()})

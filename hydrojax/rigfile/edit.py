@@ -11,6 +11,7 @@ from tomlkit.items import InlineTable, Table
 from hydrojax import units
 from hydrojax.effects import EFFECTS
 from hydrojax.parameters import Spec, specs
+from hydrojax.rigfile.plain import text
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.rigfile.sections import Entry
 
@@ -94,11 +95,6 @@ def _field(key: str, known: Mapping[str, Spec]) -> tuple[str, bool]:
         if s.outside and s.outside[0] == key and key not in known:
             return field, True
     return key, False
-
-
-def text(value: float, unit: str) -> str:
-    """A quantity as a rig file has it: six figures and the unit."""
-    return f"{value:.6g}" if unit == "1" else f"{value:.6g} {unit}"
 
 
 def _shown(s: Spec, turned: bool, command: str) -> str:

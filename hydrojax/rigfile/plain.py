@@ -1,4 +1,4 @@
-"""A rig as nested dicts turned into the text of a rig file."""
+"""A rig as nested dicts, and quantities, as the text of a rig file."""
 
 from __future__ import annotations
 
@@ -67,3 +67,8 @@ def _written(value: Any, declared: Any) -> Any:
         unit = units.with_command(declared, "V")
         return f"{number!r} {unit}" if unit != "1" else repr(number)
     return value
+
+
+def text(value: float, unit: str) -> str:
+    """A quantity as a rig file has it: six figures and the unit."""
+    return f"{value:.6g}" if unit == "1" else f"{value:.6g} {unit}"

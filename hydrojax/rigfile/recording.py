@@ -19,6 +19,7 @@ from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import Run, Trajectory, make_scenario
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
+from hydrojax.report.files import DRAFT
 from hydrojax.rigfile.schema import RigFile
 
 _DIGITS = {"time": "%.6f", "psi": "%.10g", "x": "%.10g"}
@@ -157,7 +158,7 @@ def write_log(
     """
     check_kind(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=DRAFT) as folder:
         draft = Path(folder) / path.name
         labels = [f"{name} [{unit}]" for name, (unit, _) in table.items()]
         values = [v for _, v in table.values()]

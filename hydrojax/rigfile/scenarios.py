@@ -21,6 +21,7 @@ from hydrojax.control.inputs import (
 from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import Trajectory, make_scenario
 from hydrojax.errors import InputError
+from hydrojax.limits import SAMPLES
 from hydrojax.logs.log import Log
 from hydrojax.rigfile.recording import duration, log_path, longest
 from hydrojax.rigfile.schema import RigFile
@@ -123,6 +124,11 @@ def rig_scenario(
     seconds = min(seconds, force.seconds(h), moved.seconds(h))
     if not 0.05 <= seconds <= 1e5:
         raise InputError(f"seconds: invalid length {seconds:g}: expected 0.05 to 1e5")
+    if seconds / h > SAMPLES:
+        raise InputError(
+            f"seconds: {seconds:g} s of {1 / h:g} samples a second are more than "
+            f"{SAMPLES}; shorten the run, or lower the rate"
+        )
     rng = np.random.default_rng([seed, 1])
     F_d = force.force(round(seconds / h), h, rng)
     P_s, P_r = file.line["P_s"], file.line["P_r"]

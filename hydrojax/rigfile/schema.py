@@ -9,7 +9,8 @@ from typing import Any
 
 from hydrojax import units
 from hydrojax.control.base import AbstractController
-from hydrojax.errors import InputError, check_known
+from hydrojax.errors import InputError, check_known, one_line
+from hydrojax.limits import TEXT, WORD, read_text
 from hydrojax.logs.tables import SIGNALS, Channel
 from hydrojax.parameters import Spec
 from hydrojax.plant.layout import LAYOUTS, Layout
@@ -19,6 +20,7 @@ from hydrojax.rigfile.sections import (
     GEOMETRY,
     LANDS,
     LOAD,
+    SUPPLY,
     SUPPLY_UNITS,
     ControllerValue,
     Entry,
@@ -30,9 +32,6 @@ from hydrojax.rigfile.sections import (
     section_values,
     unit_of_command,
 )
-
-SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
-"""Supply and return pressure (Pa) where neither log nor rig file has them."""
 
 
 @dataclass(frozen=True)
@@ -96,14 +95,7 @@ class RigFile:
         Raises:
             InputError: the file cannot be read, or see `from_text`.
         """
-        path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except OSError as err:
-            raise InputError(f"{path}: cannot be read; check the path") from err
-        except ValueError as err:  # not even text
-            detail = " ".join(str(err).split())
-            raise InputError(f"{path}: not TOML: {detail}; correct that line") from err
+        text = read_text(Path(path), TEXT, "a rig file is a small file of text")
         return cls.from_text(text, str(path), valve)
 
     @classmethod
@@ -157,6 +149,38 @@ class RigFile:
         """
         text = to_text(tree, base_specs(valve), effect_specs())
         return cls.from_text(text, path, valve)
+
+    @classmethod
+    def from_log(
+        cls,
+        *logs: str | Path,
+        layout: str = "",
+        columns: Mapping[str, str] | None = None,
+        name: str = "",
+        **sizes: units.QuantityLike,
+    ) -> RigFile:
+        """A commented rig file, drafted from what logs hold; `text` has the comments.
+
+        Args:
+            logs: paths of tables, of one rig and one logger.
+            layout: one of `LAYOUTS`; guessed from columns and rod without it.
+            columns: by signal, where the names do not tell.
+            name: of the rig; the first log's without it.
+            sizes: `bore`, `rod`, `stroke`, `radius` (where an angle is logged),
+                `rated_flow` (of the open valve, at 35 bar over each edge) and `supply`
+                (where no pressure of it is logged), each with its unit.
+
+        Raises:
+            InputError: a size is missing or invalid, or see `Log.load`.
+        """
+        from hydrojax.rigfile.draft.sizes import read_sizes
+        from hydrojax.rigfile.draft.write import drafted, read_log
+
+        if not logs:
+            raise InputError("from_log: no log; name at least one")
+        found = read_log(logs, columns or {}, layout, read_sizes(**sizes))
+        own, text = drafted(found, name)
+        return cls.from_text(text, own)
 
     def save(self, path: str | Path) -> None:
         """Write the text that this was read from, UTF-8.
@@ -225,7 +249,7 @@ def read_rig(
     geometry, own = _with_tolerances(f"{path}: [geometry]", file.geometry, GEOMETRY)
     supply, also = _with_tolerances(f"{path}: [supply]", file.supply, SUPPLY_UNITS)
     spec = RigFile(
-        name=file.name or Path(path).stem,
+        name=file.name or one_line(Path(path).stem, WORD),
         layout=layout,
         geometry=geometry,
         supply=supply,
@@ -277,6 +301,15 @@ def _check(spec: RigFile) -> None:
             if value <= 0.0 and key not in ("x_mid", "x_from", "x_to"):
                 raise InputError(
                     f"{spec.path}: [{section}] {key} must be above 0, not {value:g}"
+                )
+    least = {"supply": spec.supply, "load": spec.output_load}
+    for section, values in least.items():
+        for key, value in values.items():
+            if value < 0.0 and key != "F" or (key == "mass" and value == 0.0):
+                raise InputError(
+                    f"{spec.path}: [{section}] {key} must be "
+                    f"{'above' if key == 'mass' else 'at least'} 0, not {value:g}; "
+                    "correct it"
                 )
     ends = [spec.geometry[key] for key in ("x_from", "x_to") if key in spec.geometry]
     if len(ends) == 1 or (ends and ends[0] >= ends[1]):

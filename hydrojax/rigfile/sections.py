@@ -12,7 +12,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from hydrojax import units
 from hydrojax.effects import EFFECTS, offered
-from hydrojax.errors import InputError, check_known
+from hydrojax.errors import InputError, check_known, one_line
+from hydrojax.limits import WORD
 from hydrojax.logs.tables import Channel
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.chambers import Chambers
@@ -30,6 +31,9 @@ GEOMETRY = {
 SUPPLY_UNITS = {"P_s": "Pa", "P_r": "Pa"}
 """What [supply] may hold, and the SI unit."""
 
+SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
+"""Supply and return pressure (Pa) where neither log nor rig file has them."""
+
 LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
 """What [load] may hold, and the SI unit."""
 
@@ -38,6 +42,12 @@ LANDS = tuple(specs(MeteringEdges))
 
 ControllerValue = str | int | float | list[str | int | float]
 """A quantity, a number in the paper's unit, or two bounds of either."""
+
+
+def _plain_name(name: str) -> str:
+    if len(name) > WORD or not name.isprintable():
+        raise ValueError("no name")
+    return name
 
 
 def _known_layout(name: str) -> str:
@@ -51,7 +61,7 @@ class Sections(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
-    name: str = ""
+    name: Annotated[str, AfterValidator(_plain_name)] = ""
     layout: Annotated[str, AfterValidator(_known_layout)]
     geometry: dict[str, Any] = {}
     supply: dict[str, Any] = {}
@@ -72,8 +82,12 @@ def read_sections(path: str, text: str) -> Sections:
     try:
         tree = tomllib.loads(text)
     except ValueError as err:
-        detail = " ".join(str(err).split())
+        detail = one_line(" ".join(str(err).split()), WORD)
         raise InputError(f"{path}: not TOML: {detail}; correct that line") from err
+    except RecursionError as err:
+        raise InputError(
+            f"{path}: not a rig file: lists are nested too deeply; delete them"
+        ) from err
     check_known(f"{path}:", tree, Sections.model_fields, "key or section")
     try:
         return Sections.model_validate(tree)
@@ -105,11 +119,12 @@ def _refuse(path: str, tree: Mapping[str, Any], error: ValidationError) -> NoRet
         "dict_type": "a table of its own",
         "model_type": 'a table such as { column = "..." }',
         "bool_type": "true or false",
+        "value_error": f"at most {WORD} characters that can be printed",
     }
     shape = shapes.get(first["type"], "text in quotes")
     key = ".".join(keys[1:3] if keys[0] == "channels" else keys[1:2] or keys)
     raise InputError(
-        f"{where} {key}: invalid value {first['input']!r}: expected {shape}"
+        f"{where} {key}: invalid value {units.shown(first['input'])}: expected {shape}"
     ) from None
 
 

@@ -5,7 +5,6 @@ None touches pyplot; the residual over time and against signals is in `residuals
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from hydrojax.report import page
 from hydrojax.report.text import engineering, p_text, symbol, words
 
 if TYPE_CHECKING:
@@ -64,10 +64,8 @@ RANKED = 24
 
 def png(figure: Figure, dpi: int = 160) -> bytes:
     """The picture as a PNG file."""
-    out = io.BytesIO()
     with rc_context(STYLE):
-        figure.savefig(out, format="png", dpi=dpi)
-    return out.getvalue()
+        return page.png(figure, dpi)
 
 
 def styled(

@@ -20,7 +20,7 @@ from hydrojax.identify.results.outcome import (
 )
 from hydrojax.identify.results.report_json import report_json
 from hydrojax.report import markup
-from hydrojax.report.files import write_all
+from hydrojax.report.files import digest, write_all
 from hydrojax.report.page import Picture, page
 from hydrojax.report.text import p_text, quantity_text, words
 
@@ -271,14 +271,13 @@ def write_report(outcome: Outcome, folder: Path) -> None:
     and files that are not a report's stay.
     """
     shown = report_pictures(outcome)
-    text = json.dumps(
-        report_json(outcome), indent=1, allow_nan=False, ensure_ascii=False
-    )
+    content = report_json(outcome)
+    if outcome.rig_file:
+        content["rig_toml_sha256"] = digest(outcome.rig_file.encode())
+    text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
     files = {f"report_{p.name}.png": p.png for p in shown}
     files["report.html"] = report_page(outcome, shown).encode()
     files["report.json"] = (text + "\n").encode()
     if outcome.rig_file:
         files["rig.toml"] = outcome.rig_file.encode()
-    write_all(folder, files)
-    for name in {f"report_{p}.png" for p in PICTURES} - set(files):
-        (folder / name).unlink(missing_ok=True)
+    write_all(folder, files, obsolete=[f"report_{p}.png" for p in PICTURES])

@@ -15,8 +15,7 @@ from hydrojax.identify.results.outcome import (
     Parameter,
     Unexplained,
 )
-
-FORMAT = "hydrojax-report/1"
+from hydrojax.report.record import FORMAT
 
 
 def report_json(outcome: Outcome) -> dict[str, Any]:

@@ -230,8 +230,8 @@ def as_folder(bench: Path, text: str) -> Path:
 
 
 def as_text(bench: Path, text: str) -> Path:
-    (bench / "bad.txt").write_text(text)
-    return bench / "bad.txt"
+    (bench / "bad.doc").write_text(text)
+    return bench / "bad.doc"
 
 
 def as_unitless_mat(bench: Path, text: str) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -23,6 +24,7 @@ from hydrojax.rigfile.schema import RigFile
 from tests.pages import ROOT, TUTORIAL, blocks, commands
 
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
+README = ROOT / "README.md"
 
 
 # -- the site --
@@ -132,6 +134,23 @@ def test_a_broken_link_and_a_broken_anchor_fail_the_build(tmp_path):
         )
 
 
+# -- the first page --
+
+
+def dead_links(text: str, folder: Path) -> list[str]:
+    """Links of a page to files of the repository that are not there."""
+    links = re.findall(r"\]\(([^)\s]+)\)", text)
+    inside = (link.partition("#")[0] for link in links if "://" not in link)
+    return [link for link in inside if link and not (folder / link).exists()]
+
+
+def test_the_readme_is_short_and_its_links_lead_somewhere():
+    text = README.read_text(encoding="utf-8")
+    assert len(text.encode()) <= 8000
+    assert dead_links(text, ROOT) == []
+    assert dead_links("[a](docs/gone.md) [b](docs/index.md)", ROOT) == ["docs/gone.md"]
+
+
 # -- the commands that the pages show --
 
 
@@ -148,14 +167,15 @@ def parse(line: str) -> typer.Context | None:
 
 SHOWN = [
     pytest.param(line, id=f"{path.name}: {line}"[:80])
-    for path in (*PAGES, ROOT / "README.md")
+    for path in (*PAGES, README)
     for line in commands(path)
 ]
 
 
 @pytest.mark.parametrize("line", SHOWN)
 def test_a_command_shown_is_taken(line):
-    parse(line)
+    with contextlib.suppress(typer.Exit):  # an option that prints and exits
+        parse(line)
 
 
 def test_there_are_commands():
@@ -203,7 +223,7 @@ def merged(base: Mapping, over: Mapping) -> dict:
 
 RIGS = [
     pytest.param(text, id=f"{path.name} {i}")
-    for path in PAGES
+    for path in (*PAGES, README)
     for i, text in enumerate(blocks(path, "toml"))
     if not text.startswith("[project")  # of a package, not of a rig
 ]

@@ -130,7 +130,7 @@ def test_a_tuning_shows_gains_metrics_and_limits():
     assert gains[1:] == [
         ["k_p", "1.2", "1.31", "V/kN"], ["k_f", "2.4", "3.2", "V/kN"],
     ]  # fmt: skip
-    assert merit[1] == ["Within 1 dB", "16 Hz", "–", "32 Hz", "28 Hz"]
+    assert merit[2] == ["Within 1 dB", "16 Hz", "14 Hz", "32 Hz", "28 Hz"]
     assert limits[1] == ["spool: ten times as fast", "38 Hz", "+36 %"]
     gain, phase = t.plot().axes
     assert "dB" in gain.get_ylabel() and "deg" in phase.get_ylabel()

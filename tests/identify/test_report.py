@@ -28,6 +28,7 @@ from hydrojax.identify.results.outcome import (
 from hydrojax.identify.results.report_json import report_json
 from hydrojax.identify.results.summary import with_inputs
 from hydrojax.report import files, text
+from hydrojax.report.record import read_report
 
 NOISE = {"P_a1": 9e3, "P_a2": 9e3, "F": 2.5}
 UNITS = {"P_a1": "Pa", "P_a2": "Pa", "F": "N"}
@@ -281,6 +282,7 @@ def test_json_keeps_the_contract(written, name):
     found = json.loads(text, parse_constant=refuse)
     assert {k: type(v) for k, v in found.items()} == CONTRACT
     assert found["format"] == "hydrojax-report/1"
+    assert read_report(written / name).rig == found["rig"]
     assert set(found["logs"]) == {"fit", "validate", "test"}
     for key, wanted in RECORDS.items():
         for record in found[key]:

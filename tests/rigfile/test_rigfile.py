@@ -307,11 +307,11 @@ def test_commands_in_volts_and_without_a_unit(tmp_path: Path) -> None:
 def test_not_toml(tmp_path: Path) -> None:
     refusal(tmp_path, swapped("P_s = ", "P_s "), "not TOML", "line 12")
     (tmp_path / "rig.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not TOML"):
+    with pytest.raises(InputError, match="not text in UTF-8"):
         RigFile.load(tmp_path / "rig.toml")
     with pytest.raises(InputError, match="cannot be read"):
         RigFile.load(tmp_path / "none.toml")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="not a regular file"):
         RigFile.load(tmp_path)
 
 

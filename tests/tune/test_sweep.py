@@ -90,6 +90,10 @@ def test_an_effect_the_rig_has_not_is_put_in_absent():
         ("k_p=1:2:1", "count of 2 or more"),
         ("k_p=-1:2:4:log", "above 0"),
         ("k_p=1,1", "twice"),
+        ("k_p=1:2:²", "count of 2 or more"),
+        ("k_p=1:2:100000000", "more than 10000"),
+        (f"k_p=1:2:{'9' * 5000}", "count of 2 or more"),
+        ("k_p=1 Pa*9^(9*9*9*9*9*9*9):2 Pa:3", "does not fit"),
         ("beta=1 kg:2 kg:3", "kg"),
         ("load.mass=1:2:3", "under [load]"),
         ("rate=0:1000:3", "above 0"),
@@ -99,6 +103,12 @@ def test_bad_axes_are_refused_in_one_line(known, word, says):
     with pytest.raises(InputError, match=says.replace("[", r"\[")) as err:
         make_axes(read_axes([word]), known)
     assert "\n" not in str(err.value)
+
+
+def test_more_cells_than_can_be_held_are_refused(known):
+    axes = read_axes([f"{name}=1:2:9999" for name in ("k_p", "k_f", "beta", "x")])
+    with pytest.raises(InputError, match="cells are more than"):
+        make_axes(axes, known)
 
 
 def test_axes(known):
@@ -346,9 +356,11 @@ def test_the_ensemble_and_what_95_percent_reach(setting, known):
 
 def test_a_report_s_ensemble(setting, tmp_path):
     report = {
+        "format": "hydrojax-report/1",
         "parameters": {
-            "beta": {"value": 8e8, "std": 8e6}, "k_cp": {"value": 1e3, "std": 50.0},
-            "z_ss": {"value": 6e-5, "std": None},
+            "beta": {"value": 8e8, "std": 8e6, "unit": "Pa"},
+            "k_cp": {"value": 1e3, "std": 50.0, "unit": "N"},
+            "z_ss": {"value": 6e-5, "std": None, "unit": "m"},
         },
         "effects": [],
     }  # fmt: skip
@@ -375,8 +387,12 @@ def test_plants_of_a_covariance_keep_every_scale(setting, tmp_path):
     value = {"beta": 8.5e8, "c_p1": 2.24e-9, "z_ss": 6e-5}
     both = np.diag([s**2 for s in std.values()])
     both[0, 1] = both[1, 0] = 0.5 * std["beta"] * std["c_p1"]
+    units = {"beta": "Pa", "c_p1": "m^3/(s*V*Pa^0.5)", "z_ss": "m"}
     report = {
-        "parameters": {n: {"value": value[n], "std": std[n]} for n in std},
+        "format": "hydrojax-report/1",
+        "parameters": {
+            n: {"value": value[n], "std": std[n], "unit": units[n]} for n in std
+        },
         "effects": [],
         "covariance": {"names": list(std), "matrix": both.tolist()},
     }

@@ -1,4 +1,4 @@
-"""Tuning: slopes against differences, the result in a second simulator, the command.
+"""Tuning: live eigenvalues against runs, the result in a second simulator, the command.
 
 The second simulator is `Second`, written here on NumPy and scipy with equations of its
 own: chambers, valve with turbulent flow, second-order spool, a sample of delay,
@@ -25,29 +25,61 @@ from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
 from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.tune import api, measure, metrics, optimize
-from hydrojax.tune.ensemble import ensemble
-from hydrojax.tune.free import FREE
-from hydrojax.tune.limiting import what_limits, with_valve
-from hydrojax.tune.objective import CONSTRAINTS, Limits, Objective
+from hydrojax.tune import (
+    api,
+    limiting,
+    linearize,
+    measure,
+    metrics,
+    optimize,
+    trials,
+    verification,
+)
+from hydrojax.tune.aims import CONSTRAINTS, TOLERANCE, Limits
+from hydrojax.tune.ensemble import (
+    DELAY,
+    SPOOL_HZ,
+    ensemble,
+    from_findings,
+    with_unsaid,
+)
+from hydrojax.tune.findings import UNVALIDATED, Findings
+from hydrojax.tune.free import default_free
+from hydrojax.tune.limiting import what_limits
+from hydrojax.tune.objective import Objective
+from hydrojax.tune.programs import Rows
+from hydrojax.tune.proposal import propose, try_before
 from tests.tunings import tuned
 
 SPEC, _ = reference()
-PAPER = np.array([1.2, 2.4, 0.01])
+KNOWN = {*SPEC.effects, *SPEC.parameters}
+MIDDLE = 0.7
+"""Where the law's estimates of presliding start: midway between 0.3 and 1.1."""
 PLANTS = 4
+FIGURES = {
+    "within_1dB_Hz", "lag_90_Hz", "follows_to_Hz", "peak_dB", "rms_N", "rms_moving_N",
+    "largest_eigenvalue", "oscillates",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def objective():
     setting = open_setting(SPEC)
     known = quantities(SPEC, setting)
-    plants = with_valve(setting, ensemble(setting, PLANTS, seed=4))
-    return Objective(setting, [known[n] for n in FREE], plants, Limits())
+    plants = with_unsaid(setting, ensemble(setting, PLANTS), KNOWN)
+    free = [known[n] for n in default_free(setting)]
+    return Objective(setting, free, plants, Limits())
 
 
 @pytest.fixture(scope="module")
 def found(objective):
-    return optimize.optimize_gains(objective, starts=1)
+    return optimize.optimize_gains(objective, starts=1, iterations=8)
+
+
+@pytest.fixture(scope="module")
+def proposal(objective, found):
+    before = try_before(objective, 450.0)
+    return propose(objective, found, before, 450.0, lambda _: None)
 
 
 # -- a second simulator --
@@ -56,8 +88,8 @@ def found(objective):
 class Second:
     """The locked joint on many plants at once; `gains` k_p, k_f (V/kN), k_1 (V s/kN).
 
-    `plants` [m] by name, SI; the law believes the rig file's constants, and friction
-    estimates are each plant's own, held.
+    `plants` [m] by name, SI; the law believes the rig file's constants, and holds its
+    estimates of presliding: `believed`, or if None each plant's own.
     """
 
     H, PARTS = 1e-3, 10
@@ -67,9 +99,9 @@ class Second:
     C = {"c_p1": 2.24e-9, "c_n1": 2.15e-9, "c_p2": 2.27e-9, "c_n2": 2.11e-9}
     DELTA = 1.1111e-3
 
-    def __init__(self, plants, gains):
-        self.p, self.m = plants, plants["beta"].size
-        k_p, k_f, k_1 = gains
+    def __init__(self, plants, gains, believed=None):
+        self.p, self.m, self.believed = plants, plants["beta"].size, believed
+        k_p, k_f, k_1 = gains[:3]
         volts = self.KAPPA * 1e-3
         self.k_p, self.k_f, self.k_1 = k_p * volts, k_f * volts, k_1 * volts
 
@@ -116,6 +148,7 @@ class Second:
             F = self.force(P)
             out.append(F)
             k = self.p["k_fp"] if wanted > 0 else self.p["k_fn"]
+            k = k if self.believed is None else self.believed
             P_d = wanted + k * wanted / (1 + self.DELTA * abs(wanted))
             rate, P_d_old = (P_d - P_d_old) / self.H, P_d
             virtual = self.k_1 * rate + self.k_p * (P_d - P) + self.k_f * (wanted - F)
@@ -138,30 +171,126 @@ def multisine(lines):
     return 30 * np.sqrt(2 / lines.size) * np.cos(angle).sum(1)
 
 
-def second(objective, gains):
-    return Second(dict(zip(objective.names, objective.values.T, strict=True)), gains)
+def second(objective, gains, believed=None):
+    plants = dict(zip(objective.names, objective.values.T, strict=True))
+    return Second(plants, gains, believed)
 
 
-def second_response(objective, gains):
-    """|F/F_d| in dB at 1 to 120 Hz on every plant, [m, 120]."""
+def second_response(objective, gains, believed):
+    """F/F_d at 1 to 120 Hz on every plant, [m, 120]."""
     lines = np.arange(1, 121)
     F_d = multisine(lines)
-    F = second(objective, gains).run(F_d)
-    H = fft.rfft(F[1000:], axis=0)[lines] / fft.rfft(F_d[1000:])[lines, None]
-    return lines, 20 * np.log10(np.abs(H)).T
+    F = second(objective, gains, believed).run(F_d)
+    return lines, (
+        fft.rfft(F[1000:], axis=0)[lines] / fft.rfft(F_d[1000:])[lines, None]
+    ).T
 
 
-def band(lines, dB):
-    out = np.abs(dB) > 1.0
-    return np.where(out.any(1), lines[out.argmax(1)], lines[-1])
+# -- stability with the adaptation live --
 
 
-def test_the_tuned_loop_holds_in_a_second_simulator(objective, found):
-    lines, was = second_response(objective, PAPER)
-    _, now = second_response(objective, found.gains)
-    # A multisine about 0 N wiggles over the corner of presliding: 0.1 dB of it.
-    assert band(lines, now).min() >= 1.5 * band(lines, was).min() - 1
-    assert now.max() <= was.max() and now.max() < 3.2
+def rows_of(objective, changes):
+    """The rig itself at 3 cm/s with these gains, and a spool of so many Hz."""
+    names = [q.name for q in objective.free]
+    gains, plant = [], []
+    for hertz, values in changes:
+        g, p = objective.initial(), objective.values[0].copy()
+        for name, value in values.items():
+            g[names.index(name)] = value
+        p[objective.names.index("valve_lag.tau")] = 1 / (2 * np.pi * hertz)
+        gains.append(g)
+        plant.append(p)
+    return Rows(np.array(gains), np.array(plant), np.full(len(changes), 0.03))
+
+
+def adapting(share, **gains):
+    """Gains, and all rates of adaptation at a share of the paper's."""
+    rates = {"rho_a": 700, "c_1": 100, "c_2": 100, "c_3": 20, "c_4": 1e3, "c_5": 1e3,
+             "c_6": 20, "c_7": 20}  # fmt: skip
+    return gains | {name: share * rate for name, rate in rates.items()}
+
+
+def test_live_eigenvalues_tell_which_runs_oscillate(objective):
+    """Below the spool's reach all are stable frozen; adaptation makes some oscillate.
+
+    The truth is the run: to and fro at up to 3 cm/s under 300 N.
+    """
+    low, middle = {"k_p": 0.24, "k_f": 0.48}, {"k_p": 0.48, "k_f": 0.96}
+    cases = [
+        (hertz, adapting(share, **gains))
+        for hertz in (55.0, 100.0)
+        for gains in (low, middle)
+        for share in (1.0, 0.01, 0.0)
+    ]
+    rows = rows_of(objective, cases)
+    setting, run = objective.setting, objective.programs
+    systems = run.systems(setting, rows, run.settle(setting, rows))
+    largest = linearize.largest_eigenvalue(systems)
+    which = np.full(len(cases), trials.MOVING)
+    F = run.runs(setting, rows, which, objective.trials.scenarios)[..., 0]
+    swing = trials.oscillation(objective.trials, trials.MOVING, F, 1e-3)
+    # On the 55 Hz spool both, on the 100 Hz one the slower loop, and only adapting.
+    fast = np.array([True, False, False, True, False, False, True, *[False] * 5])
+    assert np.all((largest >= 1) == fast)
+    assert swing[fast].min() > 25 and swing[~fast].max() < 10
+    # 500 N and more, as fast as the eigenvalue says.
+    values = np.linalg.eigvals(systems.A[0])
+    turn = np.abs(np.angle(values[np.argmax(np.abs(values))])) / 2 / np.pi * 1e3
+    late = F[0, 2000:4000] - F[0, 2000:4000].mean()
+    peak = np.argmax(np.abs(fft.rfft(late))[20:]) / 2 + 10
+    assert swing[0] > 500 and 0.6 * turn < peak < 1.1 * turn
+
+
+def test_the_loop_frozen_says_otherwise(objective):
+    """What a linearisation without the adaptation promises of the worst of these."""
+    rows = rows_of(objective, [(55.0, {"k_p": 0.48, "k_f": 0.96})])
+    frozen = rows_of(objective, [(55.0, adapting(0.0, k_p=0.48, k_f=0.96))])
+    run = objective.programs
+    carries = run.settle(objective.setting, rows)
+    live, held = (run.systems(objective.setting, r, carries) for r in (rows, frozen))
+    assert linearize.largest_eigenvalue(live)[0] > 1.02
+    assert linearize.largest_eigenvalue(held)[0] < 1
+
+
+# -- what is found and proposed --
+
+
+def test_the_proposal_holds_where_the_paper_s_gains_do_not(objective, proposal):
+    """One of the plants limit-cycles with the paper's gains, joint moving."""
+    was, now = proposal.before, proposal.after
+    assert not was.sound and was.rms_moving.max() > 300
+    assert proposal.found and now.sound
+    assert now.rms_moving.max() < 50 and now.rms_moving[0] < 2 * was.rms_moving[0]
+    assert np.all(now.late < 1) and now.peak.max() < was.peak.max()
+    assert not now.oscillates.any() and not now.saturates.any()
+    figures = now.figures(None)
+    assert set(figures) == FIGURES and figures["oscillates"] is False
+    assert was.figures(None)["oscillates"] is True
+
+
+def test_the_proposal_holds_in_a_second_simulator(objective, proposal):
+    gains = proposal.after.gains
+    lines, H = second_response(objective, gains, MIDDLE)
+    linear = objective.evaluate(gains)["response"]
+    for ours, theirs in zip(linear, H, strict=True):
+        at = np.interp(lines, objective.hertz, ours.real) + 1j * np.interp(
+            lines, objective.hertz, ours.imag
+        )
+        off = np.abs(theirs / at - 1)
+        # A multisine about 0 N wiggles over the corner of presliding.
+        assert np.median(off) < 0.1
+    inside = np.abs(1 - H) <= TOLERANCE
+    band = lines[np.argmin(inside, axis=1)]
+    assert band.min() >= 0.85 * proposal.after.follows_to.min()
+
+
+def test_bad_gains_are_not_proposed(objective, proposal):
+    """Four times the paper's feedback: unstable, and said so."""
+    bad = objective.initial() * np.array([4, 4, *[1] * 9])
+    tried = verification.run_trials(objective, [bad], 450.0)[0]
+    said = " ".join(verification.against(objective, tried, proposal.before))
+    for what in ("unstable with the adaptation live on 4 of 4", "oscillates", "satur"):
+        assert what in said
 
 
 def test_both_simulators_run_alike(objective, found):
@@ -169,7 +298,7 @@ def test_both_simulators_run_alike(objective, found):
     F_d = multisine(np.arange(1, 121))
     nothing = np.zeros((F_d.size, 4))
     given = measure.Excitation("", F_d / 30 * 2**0.5, nothing, 0, np.ones(1))
-    for gains in (PAPER, found.gains):
+    for gains in (objective.initial(), found.gains):
         theirs = second(objective, gains).run(F_d)
         for plant in range(PLANTS):
             s = objective.at(gains, plant)
@@ -179,51 +308,23 @@ def test_both_simulators_run_alike(objective, found):
             assert off < 0.02 * np.std(F)
 
 
-def test_at_least_one_and_a_half_times_the_paper_s(objective, found):
-    before, after = objective.before, objective.evaluate(found.gains)
-    assert min(found.slack.values()) > -optimize.TIGHT
-    assert after["within_1dB"].min() >= 1.5 * before["within_1dB"].max()
-    assert after["peak"].max() <= min(3.0, before["peak"].min())
-    assert np.all(after["radius"] < 1)
-    assert after["rms"].max() < 3.1 * before["rms"][0]
-
-
 def test_slopes_are_differences(objective):
-    here = np.array([1.0, 1.8, 0.004])
+    here = objective.initial() * 0.7
     value, slope, stable = objective.scores(here)
     assert stable and value.size == 1 + len(CONSTRAINTS)
-    for i in range(3):
-        step = np.zeros(3)
-        step[i] = 1e-5 * here[i]
-        rise = objective.scores(here + step)[0] - objective.scores(here - step)[0]
-        size = 1e-3 * np.max(np.abs(slope[:, i])) * 1e-2
-        np.testing.assert_allclose(
-            rise[:5] / (2 * step[i]), slope[:5, i], rtol=2e-4, atol=size
-        )
-        assert rise[6] / (2 * step[i]) == pytest.approx(slope[6, i], rel=1e-3)
-
-
-def test_slope_through_the_run_is_a_difference(objective):
-    """The encoder's steps make the run rough: without them it is not."""
-    smooth = eqx.tree_at(
-        lambda s: s.loop.sensors.step, objective.setting, jnp.asarray(0.0)
-    )
-    quiet = objective.relaxed(setting=smooth)
-    here = np.array([1.0, 1.8, 0.006])
-    slope = quiet.scores(here)[1][5]
-    for i in range(3):
-        step = np.zeros(3)
-        step[i] = 1e-4 * here[i]
-        rise = quiet.scores(here + step)[0][5] - quiet.scores(here - step)[0][5]
-        assert rise / (2 * step[i]) == pytest.approx(slope[i], rel=0.05, abs=2e-2)
+    for group in range(slope.shape[1]):
+        step = np.where(objective.groups == group, 3e-3, 0.0)
+        ends = [objective.scores(here * np.exp(s))[0] for s in (step, -step)]
+        rise = (ends[0] - ends[1]) / 6e-3
+        for i in (0, 1, 2, 3, 6):  # the run's is rough by the encoder's steps
+            assert rise[i] == pytest.approx(slope[i, group], rel=0.03, abs=0.03)
 
 
 def test_what_limits_it(objective, found, monkeypatch):
-    monkeypatch.setattr(optimize, "MAX_ITERATIONS", 4)
+    monkeypatch.setattr(limiting, "ITERATIONS", 3)
     told = {r.what: r for r in what_limits(objective, found, lambda _: None)}
     for what in ("spool: ten times as fast", "computing delay: none"):
-        assert told[what].gain > 0.1
-    assert told["sensor noise: none"].gain < 0.1
+        assert told[what].gain > told["sensor noise: none"].gain
     ordered = [r.gain for r in told.values()]
     assert ordered == sorted(ordered, reverse=True)
 
@@ -247,13 +348,15 @@ def test_a_tuning_in_a_notebook(tmp_path):
     assert frame.index.tolist() == ["k_p", "k_f"]
     assert frame.loc["k_p"].tolist() == [1.2, 1.31, "V/kN"]
     assert repr(one) == (
-        "<Tuned 'STVF joint 1': k_p=1.31, k_f=3.2; within 1 dB up to 28.0 Hz>"
+        "<Tuned 'STVF joint 1': k_p=1.31, k_f=3.2; follows up to 14.0 Hz>"
     )
     text = one.summary()
-    assert "Within 1 dB up to 28.0 Hz" in text and "The main limit is spool" in text
+    assert "up to 14.0 Hz on the worst of 3 plants" in text
+    assert "At an end of the range that was searched: k_f." in text
+    assert "The main limit is spool" in text
     rows = {line.split("  ")[0]: line.split() for line in text.splitlines()}
     assert rows["k_f"] == ["k_f", "2.4", "3.2", "V/kN"]
-    assert rows["Peak"] == ["Peak", "2", "dB", "–", "2", "dB", "2.5", "dB"]
+    assert rows["Peak"] == ["Peak", "4", "dB", "5", "dB", "2", "dB", "2.5", "dB"]
     one.save(tmp_path / "out")
     made = RigFile.load(tmp_path / "out" / "rig.toml")
     assert made.controller["k_f"] == "3.2 V/kN" == one.rig.controller["k_f"]
@@ -267,25 +370,29 @@ def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
     leak = '[effects.internal_leakage]\nc_il = "2e-12 m^3/(s*Pa)"\n\n[controller]'
     (folder / "rig.toml").write_text(text.replace("[controller]", leak))
     content = {
+        "format": "hydrojax-report/1",
         "parameters": {"beta": {"value": 8.3e8, "std": 8e6, "unit": "Pa"}},
         "effects": [{
             "name": "internal_leakage",
-            "parameters": {"c_il": {"value": 2e-12, "std": 1e-14}},
+            "parameters": {
+                "c_il": {"value": 2e-12, "std": 1e-14, "unit": "m^3/(s*Pa)"}
+            },
         }],
     }  # fmt: skip
     (folder / "report.json").write_text(json.dumps(content))
     monkeypatch.setattr(optimize, "MAX_ITERATIONS", 3)
     words = ["hydrojax", "tune", str(folder), "--ensemble", "2", "--starts", "1",
-             "--out", str(out)]  # fmt: skip
+             "--at", "amplitude=60", "--out", str(out)]  # fmt: skip
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit) as done:
         cli.main()
-    assert done.value.code in (0, None)
-    assert "Within 1 dB up to" in capsys.readouterr().out
     made = json.loads((out / "tune.json").read_text())
-    assert set(made) == {"gains", "before", "after", "worst_of_ensemble"}
+    assert (done.value.code or 0) == (0 if made["proposed"] else 1)
+    said = "F follows F_d" if made["proposed"] else "No gains are proposed"
+    assert said in capsys.readouterr().out
+    assert made["proposed"] == (not made["obstacles"])
     for part in ("before", "after", "worst_of_ensemble"):
-        assert set(made[part]) == {"within_1dB_Hz", "peak_dB", "rms_N"}
+        assert set(made[part]) == FIGURES
     page = (out / "report.html").read_text()
     for said in (
         "old model (without internal leakage), gains before",
@@ -295,7 +402,8 @@ def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
     ):
         assert said in page
     new = RigFile.load(out / "rig.toml")
-    assert new.effects and new.controller["k_p"] != "1.2 V/kN"
+    assert new.effects
+    assert (new.controller["k_p"] != "1.2 V/kN") == made["proposed"]
 
 
 def test_bad_input_is_said(tmp_path, call):
@@ -312,14 +420,49 @@ def test_bad_input_is_said(tmp_path, call):
         api.tune_gains(SPEC, free=("beta",))
 
 
-def test_metrics_of_the_worst():
+def test_metrics_of_the_rig_and_the_worst():
     values = {"within_1dB": np.array([20.0, np.nan]), "peak": np.array([1.0, np.nan]),
               "rms": np.array([5.0, 7.0])}  # fmt: skip
-    assert metrics.minimum(values["within_1dB"]) == 0.0
     assert metrics.maximum(values["peak"]) is None
-    assert metrics.rig_metrics(values) == {
-        "within_1dB_Hz": 20,
-        "peak_dB": 1,
-        "rms_N": 5,
+    want = {"within_1dB_Hz": 20, "peak_dB": 1, "rms_moving_N": 5}
+    assert metrics.rig_metrics(values) == want
+
+
+def test_what_the_file_does_not_say_is_assumed():
+    """Spool, delay and presliding: of the rig itself, and spread over the others."""
+    setting = open_setting(replace(SPEC, effects={}), extra=api.VALVE)
+    plants = with_unsaid(setting, ensemble(setting, 6), {"beta"})
+    column = dict(zip(plants.names, plants.values.T, strict=True))
+    hertz = 1 / (2 * np.pi * column["valve_lag.tau"])
+    assert hertz[0] == pytest.approx(SPOOL_HZ) and np.ptp(np.log(hertz)) > 0.3
+    assert column["valve_delay.tau_u"][0] == pytest.approx(DELAY * 1e-3)
+    assert np.ptp(column["k_fp"]) > 0.2
+    for what in ("a spool of 50 to 200 Hz", "samples of delay", "presliding"):
+        assert what in plants.description
+    same = with_unsaid(setting, ensemble(setting, 6), KNOWN)
+    known = dict(zip(same.names, same.values.T, strict=True))
+    assert np.ptp(known["valve_lag.tau"]) == np.ptp(known["valve_delay.tau_u"]) == 0
+
+
+def test_a_trace_s_ensemble_is_as_wide_as_its_residual(tmp_path):
+    """A covariance of next to nothing, and 8 % of F left by the validation."""
+    report = {
+        "format": "hydrojax-report/1",
+        "parameters": {"beta": {"value": 8.3e8, "std": 1e3, "unit": "Pa"}},
+        "effects": [],
+        "candidates": [{"name": "valve_lag", "status": "absent"}],
+        "channels": {
+            "F": {"unit": "N", "after": 9.0, "validate": {"after": 8.0, "held": 100.0}},
+            "P_a1": {"unit": "Pa", "after": 1e4, "held": 1e6},
+        },
     }
-    assert replace(Limits(), peak_dB=1.0).peak_dB == 1.0
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    found = Findings.load(tmp_path)
+    assert found.residual == pytest.approx(0.08) and found.absent == ("valve_lag",)
+    setting = open_setting(SPEC)
+    plants = from_findings(setting, found, 40)
+    wide = plants.values / plants.values[0] - 1
+    assert 0.06 < np.abs(wide).max() <= 0.081
+    del report["channels"]
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    assert Findings.load(tmp_path).residual == UNVALIDATED

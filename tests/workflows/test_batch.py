@@ -139,6 +139,23 @@ def test_bad_options_are_refused(call, tmp_path, option, value, words):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_label_that_is_there_twice_is_refused(tmp_path):
+    """pandas would call the second `oil.1`."""
+    (tmp_path / "jobs.csv").write_text(
+        "rig,fit,validate,oil,oil\nr.toml,a.csv,b.csv,1,2\n"
+    )
+    with pytest.raises(InputError, match="column 'oil' is there twice"):
+        read_jobs(tmp_path / "jobs.csv")
+
+
+def test_cells_that_are_no_text_are_refused(tmp_path):
+    for cell in ("r\0.toml", "r\x1b[2J.toml"):
+        (tmp_path / "jobs.csv").write_text(f"rig,fit,validate\n{cell},a.csv,b.csv\n")
+        with pytest.raises(InputError, match=r"jobs\.csv") as caught:
+            read_jobs(tmp_path / "jobs.csv")
+        assert str(caught.value).isprintable()
+
+
 def test_csv_parquet_and_folders_give_the_same_jobs(tmp_path):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
@@ -254,15 +271,32 @@ def test_a_worker_that_has_grown_is_replaced(tmp_path):
         assert len(pids) == workers
 
 
-def test_an_unreadable_result_is_done_again(tmp_path):
-    """A power cut can leave a file empty."""
+def test_a_damaged_result_is_done_again(tmp_path):
+    """By a power cut, by hand, or stored under another job's key."""
+    table, out = fleet(tmp_path, good(8)), tmp_path / "out"
+    pretended(table, out)
+    before = digest(out)
+    first, *rest = sorted(out.glob("jobs/[!.]*/*.json"))
+    text = first.read_text()
+    other = text.replace('"value": 10', '"value": 11', 1)
+    assert other != text
+    damages = ["", "[]", "{}", "null", text[:-20], text, other]
+    for path, damaged in zip(rest, damages, strict=True):
+        path.write_text(damaged)
+    (out / "fleet.parquet").unlink()
+    assert pretended(table, out) == Ran(8, len(damages), 0, True)
+    assert digest(out) == before
+
+
+def test_a_damaged_table_is_made_again(tmp_path):
     table, out = fleet(tmp_path, good(3)), tmp_path / "out"
     pretended(table, out)
     before = digest(out)
-    next(iter(sorted(out.glob("jobs/[!.]*/*.json")))).write_text("")
-    (out / "fleet.parquet").unlink()
-    assert pretended(table, out) == Ran(3, 1, 0, True)
-    assert digest(out) == before
+    whole = (out / "fleet.parquet").read_bytes()
+    for damaged in (b"", whole[:100], b"PAR1" + whole[-300:]):
+        (out / "fleet.parquet").write_bytes(damaged)
+        assert pretended(table, out) == Ran(3, 0, 0, True)
+        assert digest(out) == before
 
 
 def test_a_job_s_key_holds_the_code_of_the_effects(tmp_path, monkeypatch):

@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
-from hydrojax.errors import InputError
-from hydrojax.logs.tables import unreadable
+from hydrojax.errors import InputError, one_line
+from hydrojax.logs.tables import TABLES, tidy, unreadable
 
 Command = Literal["identify", "trace"]
 
@@ -22,7 +22,7 @@ OWN = ("job", "rig", "fit", "validate")
 
 RESULTS = ("verdict", "sentence", "failed", "effects")
 PREFIXES = ("parameter.", "channel.")
-LOGS = (".csv", ".csv.gz", ".parquet", ".mat", ".mcap")
+LOGS = (*TABLES, ".mcap")
 
 
 class Job(BaseModel):
@@ -144,7 +144,7 @@ def _table(path: Path) -> pd.DataFrame:
     except Exception as error:  # every library has its own kinds for a broken file
         hint = f"save it again as {kind}"
         raise unreadable(path, f"{kind} file", error, hint) from error
-    names = [str(c).strip() for c in frame.columns]
+    names = [tidy(path, str(c)) for c in frame.columns]
     for i, name in enumerate(names):
         if name in names[:i]:
             raise InputError(f"{path}: column {name!r} is there twice; rename one")
@@ -164,6 +164,13 @@ def _table(path: Path) -> pd.DataFrame:
                 f"{path}: a label cannot be called {name!r}: results are; rename it"
             )
     text = frame[list(OWN)].fillna("").astype(str)
+    for name in OWN:
+        odd = np.flatnonzero(~text[name].map(str.isprintable).to_numpy(bool))
+        if len(odd):
+            raise InputError(
+                f"{path}: column {name!r}: {one_line(text[name].iloc[odd[0]], 60)!r} "
+                "holds a character that cannot be printed; write it anew"
+            )
     return pd.concat([text, frame[labels].apply(_typed)], axis=1)
 
 
@@ -172,10 +179,13 @@ def _csv(path: Path) -> pd.DataFrame:
     with warnings.catch_warnings():
         warnings.simplefilter("error", pd.errors.ParserWarning)  # cells lost
         frame = pd.read_csv(
-            path, dtype=str, keep_default_na=False, encoding="utf-8-sig",
+            path, dtype=str, keep_default_na=False, encoding="utf-8-sig", header=None,
             skipinitialspace=True, index_col=False, skip_blank_lines=False,
         )  # fmt: skip
+    # By hand: pandas would rename the second of two columns of one name.
     frame = frame.fillna("")
+    frame.columns = frame.iloc[0].tolist()
+    frame = frame.iloc[1:].reset_index(drop=True)
     return frame.loc[frame.ne("").any(axis=1)]
 
 

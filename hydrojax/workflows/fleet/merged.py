@@ -75,6 +75,24 @@ class Fleet:
         return own[own["identified"].fillna(False).astype(bool) & own["value"].notna()]
 
 
+def named(folder: Path, most: int) -> list[str]:
+    """A line for each job that failed or came out unknown, `most` of each kind."""
+    table = Fleet(folder / "fleet.parquet").columns(
+        "job", "verdict", "sentence", "failed"
+    )
+    kinds = {
+        "failed": (table[table["failed"].notna()], "failed"),
+        "unknown": (table[table["verdict"] == "unknown"], "sentence"),
+    }
+    out = []
+    for kind, (rows, column) in kinds.items():
+        told = zip(rows["job"][:most], rows[column][:most], strict=True)
+        out += [f"{kind}: {job}: {why}" for job, why in told]
+        if len(rows) > most:
+            out.append(f"{kind}: {len(rows) - most} more in fleet.parquet")
+    return out
+
+
 def label(fleet: Fleet, name: str) -> pd.Series:
     """A label's values: numbers, times (UTC), or text: what all that are filled are."""
     column: Any = fleet.columns(name)[name]

@@ -39,6 +39,7 @@ class Seen:
     verdicts: list[tuple[str, int]]
     failures: list[tuple[str, str]]
     reasons: int
+    unknown: list[tuple[str, str]]
     found: list[summary.Found]
     outliers: dict[str, list[summary.Outlier]]
     drifts: list[summary.Drift]
@@ -50,9 +51,10 @@ class Seen:
 def look(store: Store, keys: Sequence[str]) -> Seen:
     """The content of the page from the merged table; outliers by job."""
     fleet = Fleet(store.folder / "fleet.parquet")
-    whole = fleet.columns("job", "verdict", "failed")
+    whole = fleet.columns("job", "verdict", "sentence", "failed")
     verdicts = Counter(whole["verdict"].dropna())
     failed = whole[whole["failed"].notna()]
+    unknown = whole[whole["verdict"] == "unknown"]
     some = list(_records(store, keys))
     apart: dict[str, list[summary.Outlier]] = {}
     for outlier in summary.outliers(fleet):
@@ -62,6 +64,7 @@ def look(store: Store, keys: Sequence[str]) -> Seen:
         sorted(verdicts.items(), key=lambda v: -v[1]),
         list(zip(failed["job"], failed["failed"], strict=True))[:LISTED],
         len(failed),
+        list(zip(unknown["job"], unknown["sentence"], strict=True)),
         summary.effects(fleet, some),
         apart,
         summary.drifts(fleet),
@@ -174,8 +177,5 @@ def write_fleet_report(store: Store, keys: Sequence[str], title: str) -> Seen:
     shown = draw_fleet(store, seen)
     files = {f"{p.name}.png": p.png for p in shown}
     files["fleet.html"] = fleet_page(seen, shown, title).encode()
-    write_all(store.folder, files)
-    for old in store.folder.glob("fleet_*.png"):
-        if old.name not in files:
-            old.unlink()
+    write_all(store.folder, files, [p.name for p in store.folder.glob("fleet_*.png")])
     return seen

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from hydrojax.errors import InputError
@@ -94,7 +95,9 @@ def run_fleet(
                 tasks, len(left), len(set(keys)), out, workers, cluster, progress
             )
         elif merged(store) == mark and ((out / "fleet.html").exists() or not report):
-            return Ran(len(jobs), done, _failures(out), False)
+            failures = _failures(out)
+            if failures is not None:
+                return Ran(len(jobs), done, failures, False)
         unread, failed = _merge(store, jobs, keys, mark, report)
         if not unread:
             return Ran(len(jobs), done, failed, True)
@@ -175,6 +178,10 @@ def _mark(jobs: Jobs, keys: list[str]) -> str:
     return seen.hexdigest()
 
 
-def _failures(out: Path) -> int:
-    column = pq.read_table(out / "fleet.parquet", columns=["failed"])["failed"]
+def _failures(out: Path) -> int | None:
+    """How many jobs failed, by the table; None where it is damaged."""
+    try:
+        column = pq.read_table(out / "fleet.parquet", columns=["failed"])["failed"]
+    except (OSError, ValueError, LookupError, pa.ArrowException):
+        return None
     return len(column) - column.null_count

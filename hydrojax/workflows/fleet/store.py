@@ -1,17 +1,19 @@
 """Results: a small file per job as it is done, and one table of all of them.
 
 `DIR/jobs/ab/ab….json` is a job's result, whole or not there. `ab….again.json` is one
-that failed for a reason that may pass: the next run tries it again.
+that failed for a reason that may pass: the next run tries it again. A result that is
+damaged, or was stored under another key, counts as none: its job is done again.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,13 +22,16 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from hydrojax.report.files import write_all
+from hydrojax.report.files import DRAFT, write_one
 from hydrojax.workflows.fleet.jobs import Jobs
 
 ROWS = 4096
 """Rows that are in memory at once while the table is written."""
 
 AGAIN = ".again.json"
+HASH = "sha256"
+"""In a result: the hash of all the rest."""
+
 STALE = 60.0
 """Seconds after which a draft can have no writer any more."""
 
@@ -45,23 +50,30 @@ class Store:
         return self._path(key).exists()
 
     def save(self, key: str, record: dict[str, Any], final: bool) -> None:
-        """Keep a result, whole or not at all."""
+        """Keep a result, whole or not at all, with a hash of it."""
         path = self._path(key, ".json" if final else AGAIN)
-        text = json.dumps(record, allow_nan=False, ensure_ascii=False) + "\n"
-        write_all(path.parent, {path.name: text.encode()})
+        own = record | {"key": key}
+        text = json.dumps(own | {HASH: _hash(own)}, allow_nan=False, ensure_ascii=False)
+        write_one(path, f"{text}\n".encode())
         if final:
             self._path(key, AGAIN).unlink(missing_ok=True)
 
     def load(self, key: str) -> dict[str, Any] | None:
-        """A result; None where there is none that can be read."""
-        for ending in (".json", AGAIN):
-            with suppress(OSError, ValueError):
-                return json.loads(self._path(key, ending).read_text(encoding="utf-8"))
-        return None
+        """A result; None where there is none that is this key's and undamaged."""
+        ending = ".json" if self.has(key) else AGAIN
+        try:
+            found = json.loads(self._path(key, ending).read_bytes())
+            sound = found.pop(HASH) == _hash(found) and found["key"] == key
+        except (
+            OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError,
+        ):  # fmt: skip
+            return None
+        return found if sound else None
 
     def drop(self, key: str) -> None:
         """Forget a result."""
-        self._path(key).unlink(missing_ok=True)
+        for ending in (".json", AGAIN):
+            self._path(key, ending).unlink(missing_ok=True)
 
     def done(self) -> set[str]:
         """Keys of all jobs that are done for good."""
@@ -75,10 +87,21 @@ class Store:
 
     def clear(self) -> None:
         """Remove drafts that a killed run has left."""
-        for pattern in ("jobs/.*", ".fleet.parquet.*", ".seconds.parquet.*"):
+        for pattern in (f"jobs/*/{DRAFT}*", f"{DRAFT}*"):
             for draft in self.folder.glob(pattern):
-                if time.time() - draft.stat().st_mtime > STALE:
-                    shutil.rmtree(draft, ignore_errors=True)
+                with suppress(OSError):
+                    if time.time() - draft.stat().st_mtime < STALE:
+                        continue
+                    if draft.is_dir():
+                        shutil.rmtree(draft, ignore_errors=True)
+                    else:
+                        draft.unlink(missing_ok=True)
+
+
+def _hash(record: Mapping[str, Any]) -> str:
+    own = {name: value for name, value in record.items() if name != HASH}
+    text = json.dumps(own, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass
@@ -144,9 +167,9 @@ def merged(store: Store) -> str:
     """The mark of the table in the folder; "" where it has none."""
     try:
         found = pq.read_schema(store.folder / "fleet.parquet").metadata or {}
-    except (OSError, pa.ArrowInvalid):
+        return found.get(b"hydrojax", b"").decode()
+    except (OSError, ValueError, pa.ArrowException):  # damaged
         return ""
-    return found.get(b"hydrojax", b"").decode()
 
 
 def _schema(jobs: Jobs, columns: _Columns, mark: str) -> pa.Schema:
@@ -210,9 +233,7 @@ def _seconds(store: Store, jobs: Jobs, keys: Sequence[str]) -> Iterator[dict[str
 
 def _write(path: Path, schema: pa.Schema, rows: Iterator[dict[str, Any]]) -> None:
     """A table from rows, whole or not at all; absent cells are null."""
-    with tempfile.TemporaryDirectory(
-        dir=path.parent, prefix=f".{path.name}."
-    ) as beside:
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=DRAFT) as beside:
         draft = Path(beside) / path.name
         with pq.ParquetWriter(draft, schema, compression="zstd") as writer:
             block: list[dict[str, Any]] = []

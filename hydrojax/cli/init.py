@@ -1,0 +1,109 @@
+"""The command that drafts a rig file: `init`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydrojax.cli.options import app
+from hydrojax.errors import InputError
+
+QUESTIONS = {
+    "bore": "Bore (diameter of the piston), such as 40 mm",
+    "rod": "Rod diameter, such as 25 mm; 0 mm if both areas are equal",
+    "stroke": "Stroke between the stops, such as 300 mm",
+    "radius": "Radius at which the cylinder acts on the joint, such as 85 mm",
+}
+
+
+def _schema(wanted: bool) -> None:
+    if wanted:
+        from hydrojax.rigfile.json_schema import rig_schema
+
+        print(json.dumps(rig_schema(), indent=1))
+        raise typer.Exit
+
+
+@app.command()
+def init(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(help="Logs of one rig and one logger.", show_default=False),
+    ],
+    bore: Annotated[str, typer.Option(help="Diameter of the piston: 40 mm.")] = "",
+    rod: Annotated[
+        str,
+        typer.Option(
+            help="Diameter of the rod: 25 mm; 0 mm where the areas are equal."
+        ),
+    ] = "",
+    stroke: Annotated[str, typer.Option(help="Between the stops: 300 mm.")] = "",
+    radius: Annotated[
+        str, typer.Option(help="Lever arm, where the log has an angle: 85 mm.")
+    ] = "",
+    rated_flow: Annotated[
+        str,
+        typer.Option(
+            help="Of the open valve, at 35 bar over each edge: 40 L/min.",
+            show_default="estimated from the log",
+        ),
+    ] = "",
+    supply: Annotated[
+        str,
+        typer.Option(
+            help="Supply pressure, where the log has none: 140 bar.",
+            show_default="140 bar",
+        ),
+    ] = "",
+    layout: Annotated[
+        str,
+        typer.Option(
+            help="pull-pull, differential, single or driven-axis.",
+            show_default="from columns and rod",
+        ),
+    ] = "",
+    column: Annotated[
+        list[str] | None,
+        typer.Option(help="Columns by signal, as u=MainU: all words that follow."),
+    ] = None,
+    name: Annotated[
+        str, typer.Option(help="Of the rig.", show_default="the log's")
+    ] = "",
+    schema: Annotated[
+        bool,
+        typer.Option(
+            "--schema",
+            callback=_schema,
+            is_eager=True,
+            help="Print the JSON schema of rig files, for editors, and exit.",
+        ),
+    ] = False,
+) -> None:
+    """Draft a commented rig file from logs: hydrojax init LOG... > rig.toml.
+
+    Columns, units and signs are guessed, and marked CHECK where they are not certain.
+    At a terminal, sizes that are not given are asked for.
+    """
+    from hydrojax.cli.words import read_columns
+    from hydrojax.rigfile.draft import sizes as known
+    from hydrojax.rigfile.draft.write import drafted, read_log
+    from hydrojax.rigfile.schema import RigFile
+
+    given = {
+        "bore": bore, "rod": rod, "stroke": stroke, "radius": radius,
+        "rated_flow": rated_flow, "supply": supply,
+    }  # fmt: skip
+    said = {key: value for key, value in given.items() if value}
+    log = read_log(logs, read_columns(column or []), layout, known.read_sizes(**said))
+    for size in known.missing(log):
+        if not sys.stdin.isatty():
+            option = f"--{size.replace('_', '-')}"
+            raise InputError(f"init: {option} is missing: {QUESTIONS[size]}")
+        said[size] = typer.prompt(QUESTIONS[size], err=True)
+    log = read_log(logs, read_columns(column or []), layout, known.read_sizes(**said))
+    own, text = drafted(log, name)
+    print(RigFile.from_text(text, own).text, end="")

@@ -1,0 +1,145 @@
+"""The JSON schema of a rig file, from the declarations: editors complete and check."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hydrojax.effects import EFFECTS
+from hydrojax.logs.tables import SIGNALS, Channel
+from hydrojax.parameters import Spec
+from hydrojax.plant.layout import LAYOUTS
+from hydrojax.rigfile.controller import KEYS, written_unit
+from hydrojax.rigfile.sections import (
+    GEOMETRY,
+    LOAD,
+    SUPPLY_UNITS,
+    Sections,
+    base_specs,
+    effect_specs,
+)
+
+MEANINGS: Mapping[str, str] = {
+    "name": "Of the rig, in reports.",
+    "layout": "pull-pull: two chambers of equal area. differential: area_1 on the rod "
+    "side, area_2 on the bore side. single: one pressurised chamber, P_a2. "
+    "driven-axis: a drive force P, no pressures.",
+    "geometry": "Known sizes; a tolerance may follow: 1.18e-3 m^2 +- 1 %.",
+    "supply": "Pressures where the log has no such channel.",
+    "sensors": "Standard deviation of the noise, where it is known.",
+    "load": "A force F known without a sensor, or the inertia of closed-loop runs.",
+    "channels": "Columns of the log by signal: name, unit, sign.",
+    "parameters": "What is to be found: start and range; a plain quantity is held.",
+    "effects": "Effects that are known: found where they have a range, held otherwise.",
+    "controller": "The adaptive law of closed-loop runs, in the paper's units.",
+}
+"""What each key and section of a rig file is for."""
+
+KEY_MEANINGS: Mapping[str, str] = {
+    "geometry.area": "area of each chamber (pull-pull, single)",
+    "geometry.area_1": "area of chamber 1, which shrinks as x grows: the rod side",
+    "geometry.area_2": "area of chamber 2, which pushes toward positive x: the bore",
+    "geometry.chamber_length": "stroke of the piston between its stops",
+    "geometry.radius": "of the joint: x = radius * psi",
+    "geometry.x_mid": "what the position sensor reads at mid-stroke",
+    "geometry.x_from": "start of the stretch over which profiles are laid",
+    "geometry.x_to": "end of that stretch",
+    "supply.P_s": "supply pressure",
+    "supply.P_r": "return pressure",
+    "load.F": "force on the output; 0 N says that the axis moves free",
+    "load.mass": "of the load on the output, in closed loop",
+    "load.stiffness": "of the spring to the load, in closed loop",
+    "load.damping": "of the spring to the load, in closed loop",
+}
+"""What each key of [geometry], [supply] and [load] is."""
+
+
+def rig_schema() -> dict[str, Any]:
+    """The JSON schema (draft 2020-12) of a rig file."""
+    out = Sections.model_json_schema()
+    out["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    out["title"] = "hydrojax rig file"
+    sections = out["properties"]
+    for name, said in MEANINGS.items():
+        sections[name]["description"] = said
+        sections[name].pop("title", None)
+    sections["layout"]["enum"] = list(LAYOUTS)
+    wants = {
+        "geometry": GEOMETRY,
+        "supply": SUPPLY_UNITS,
+        "load": LOAD,
+        "sensors": {n: u for n, u in SIGNALS.items() if n != "time"},
+    }
+    for section, keys in wants.items():
+        said = {k: KEY_MEANINGS.get(f"{section}.{k}", f"noise of {k}") for k in keys}
+        entries = {k: quantity(u, said[k]) for k, u in keys.items()}
+        sections[section] |= table(entries)
+    out.pop("$defs", None)
+    channel = Channel.model_json_schema() | {"description": "the signal's column"}
+    sections["channels"] |= table(dict.fromkeys(SIGNALS, channel))
+    sections["parameters"] |= table(parameters(base_specs()))
+    effects = {
+        name: table(parameters(known)) | {"description": EFFECTS[name].__doc__ or ""}
+        for name, known in effect_specs().items()
+    }
+    # Effects of a user's own are known to hydrojax, not to this schema.
+    sections["effects"] |= table(effects) | {"additionalProperties": {"type": "object"}}
+    sections["controller"] |= table({name: _gain(name) for name in KEYS})
+    return out
+
+
+def table(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with these keys and no others."""
+    return {
+        "type": "object",
+        "properties": dict(entries),
+        "additionalProperties": False,
+    }
+
+
+def quantity(unit: str, description: str) -> dict[str, Any]:
+    """A number with its unit."""
+    plain = [{"type": "number"}] if unit == "1" else []
+    shown = unit.replace("{u}", "V")
+    return {
+        "anyOf": [{"type": "string"}, *plain],
+        "description": f"{description}; in {shown}" if unit != "1" else description,
+        "examples": [f"1 {shown}" if unit != "1" else "1"],
+    }
+
+
+def parameters(known: Mapping[str, Spec]) -> dict[str, Any]:
+    """Parameters by their names, and by those of their reciprocals."""
+    out: dict[str, Any] = {}
+    for name, spec in known.items():
+        out[name] = _parameter(spec.unit, spec.description, spec)
+        if spec.outside:
+            other, unit = spec.outside
+            out[other] = _parameter(unit, f"{spec.description} (1/{name})", None)
+    return out
+
+
+def _parameter(unit: str, description: str, spec: Spec | None) -> dict[str, Any]:
+    """One parameter: held, or found within a range."""
+    held = quantity(unit, description)
+    limits = f"; {spec.lower:g} to {spec.upper:g} at most" if spec else ""
+    ends = {"type": "array", "items": {"anyOf": held["anyOf"]}}
+    found = table(
+        {
+            "start": quantity(unit, "where the search starts"),
+            "range": ends | {"minItems": 2, "maxItems": 2},
+        }
+    )
+    return {
+        "anyOf": [*held["anyOf"], found | {"required": ["start", "range"]}],
+        "description": held["description"] + limits,
+    }
+
+
+def _gain(name: str) -> dict[str, Any]:
+    """A key of [controller]."""
+    one = {"type": ["string", "number"]}
+    pair = {"type": "array", "items": one, "minItems": 2, "maxItems": 2}
+    kinds = [one, pair] if KEYS[name].pair else [one]
+    unit = written_unit(name).replace("{u}", "V")
+    return {"anyOf": kinds, "description": f"{KEYS[name].description}; in {unit}"}

@@ -1,0 +1,125 @@
+"""What is compiled for a tuning: a few programs over rows of numbers.
+
+A row is a set of gains on a plant at a point. Programs are compiled for a fixed number
+of rows, and longer tables are cut into such chunks, so that nothing compiles anew when
+a descent, its slopes or a check ask for more. All else of a tuning is NumPy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from hydrojax.control.loop import Scenario, run
+from hydrojax.parameters import put
+from hydrojax.rigfile.quantities import Quantity, Setting
+from hydrojax.tune import linearize, operating_point
+from hydrojax.tune.program import program
+
+KEEP = ("true_F", "u")
+"""Signals of a run: the output force, N, and the command."""
+
+
+class Rows(NamedTuple):
+    """Gains in their units, the plant's parameters, and the speed, m/s."""
+
+    gains: Float[np.ndarray, "rows gains"]
+    plant: Float[np.ndarray, "rows parameters"]
+    v: Float[np.ndarray, "rows"]
+
+
+def at(
+    setting: Setting, free: Sequence[Quantity], names: Sequence[str],
+    gains: Any, plant: Any, v: Any,
+) -> Setting:  # fmt: skip
+    """The setting with these gains, parameters of the plant, and speed."""
+    rig = put(setting.loop.rig, names, plant)
+    s = eqx.tree_at(lambda q: (q.loop.rig, q.v), setting, (rig, v))
+    for i, quantity in enumerate(free):
+        s = quantity.put(s, gains[i])
+    return s
+
+
+class Programs:
+    """Operating points, linear systems and runs of rows.
+
+    Args:
+        free: the quantities that change.
+        names: of the plant's parameters.
+        settle: samples in which a point that is not at rest settles.
+        size: rows in a chunk.
+    """
+
+    def __init__(
+        self, free: Sequence[Quantity], names: Sequence[str], settle: int, size: int
+    ):
+        self.size = size
+
+        def place(setting, row):
+            return at(setting, free, names, *row)
+
+        def settled(setting, row):
+            return operating_point.initial_state(place(setting, row), settle=settle)
+
+        def linear(setting, row, carry):
+            s = place(setting, row)
+            return linearize.live_system(s, operating_point.matched(s, carry))
+
+        def simulated(setting, row, which, scenarios):
+            scenario = jax.tree.map(lambda a: a[which], scenarios)
+            scenario = scenario._replace(P_s=jnp.full_like(scenario.P_s, setting.P_s))
+            return run(place(setting, row).loop, scenario, KEEP)
+
+        over = (None, 0)
+        self._settled = program(jax.vmap(settled, in_axes=over))
+        self._linear = program(jax.vmap(linear, in_axes=(None, 0, 0)))
+        self._run = jax.jit(jax.vmap(simulated, in_axes=(None, 0, 0, None)))
+
+    def settle(self, setting: Setting, rows: Rows) -> Any:
+        """The memory of each row at its operating point."""
+        return self._chunks(lambda r: self._settled(setting, r), (rows,))
+
+    def systems(self, setting: Setting, rows: Rows, carries: Any) -> linearize.System:
+        """The full linear system of each row, its adaptation live, as NumPy arrays.
+
+        Args:
+            setting: what all rows share.
+            rows: the rows.
+            carries: the memory of each at its point; the estimates in it are set anew.
+        """
+        return self._chunks(lambda r, c: self._linear(setting, r, c), (rows, carries))
+
+    def runs(
+        self, setting: Setting, rows: Rows, which: Int[np.ndarray, "rows"],
+        scenarios: Scenario,
+    ) -> Float[np.ndarray, "rows N 2"]:  # fmt: skip
+        """The signals `KEEP` of each row in one of the stacked scenarios.
+
+        The rows' speed is not used: the scenario moves the piston.
+        """
+        return self._chunks(
+            lambda r, k: self._run(setting, r, k, scenarios), (rows, which)
+        )
+
+    def _chunks(self, work: Callable[..., Any], table: tuple[Any, ...]) -> Any:
+        table = jax.tree.map(np.asarray, table)
+        count = jax.tree.leaves(table)[0].shape[0]
+        out = []
+        for start in range(0, count, self.size):
+            index = np.minimum(np.arange(start, start + self.size), count - 1)
+            part = jax.tree.map(lambda a, i=index: jnp.asarray(a[i]), table)
+            done = jax.tree.map(np.asarray, work(*part))
+            rest = min(self.size, count - start)
+            out.append(jax.tree.map(lambda a, n=rest: a[:n], done))
+        return jax.tree.map(lambda *a: np.concatenate(a), *out)
+
+
+def repeat(tree: Any, index: Int[np.ndarray, "rows"]) -> Any:
+    """Rows of a stacked tree, picked by their index."""
+    return jax.tree.map(lambda a: np.asarray(a)[index], tree)

@@ -1,0 +1,127 @@
+"""Of the gains that descents found, those that hold in runs: what is proposed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from hydrojax.control.base import RATES
+from hydrojax.tune.aims import TOLERANCE, Following
+from hydrojax.tune.objective import Objective
+from hydrojax.tune.optimize import Optimum
+from hydrojax.tune.verification import PEAK_SLACK, Tried, against, run_trials
+
+BLENDS = (0.75, 0.5, 0.25, 0.1)
+"""Shares of the way from the present gains to those found, in logarithms."""
+
+SLOWER = (0.1, 0.01)
+"""Factors on the rates of adaptation that are tried with the gains found."""
+
+NARROWER = 0.98
+"""Least share of what is aimed at before that a proposal must reach."""
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """What is proposed, and what speaks against the rest.
+
+    Attributes:
+        before: the present gains, tried.
+        after: the gains proposed; the present ones where none is.
+        obstacles: what stands in the way, where none is proposed.
+        tried: how many were.
+    """
+
+    before: Tried
+    after: Tried
+    obstacles: tuple[str, ...]
+    tried: int
+
+    @property
+    def found(self) -> bool:
+        """Whether gains are proposed."""
+        return not self.obstacles
+
+
+def tolerance_of(objective: Objective) -> float:
+    """Of |1 - F/F_d|: the aim's, if it has one."""
+    aim = objective.aim
+    return aim.tolerance if isinstance(aim, Following) else TOLERANCE
+
+
+def candidates(objective: Objective, optimum: Optimum) -> list[np.ndarray]:
+    """What is tried: the ends of all descents, half ways, and slower adaptation."""
+    start = objective.initial()
+    low = np.where(start > 0, start, 1.0)
+    way = np.where(start > 0, np.log(np.maximum(optimum.gains, 1e-300) / low), 0.0)
+    rates = np.array([q.name in RATES for q in objective.free])
+    blends = [
+        np.where(start > 0, low * np.exp(f * way), f * optimum.gains) for f in BLENDS
+    ]
+    slower = [np.where(rates, f * optimum.gains, optimum.gains) for f in SLOWER]
+    return [optimum.gains, *optimum.others, *blends, *(slower if rates.any() else ())]
+
+
+def try_before(objective: Objective, most: float) -> Tried:
+    """The present gains, tried; `most` is the highest band that is promised, Hz."""
+    start = objective.initial()
+    return run_trials(objective, [start], most, tolerance_of(objective))[0]
+
+
+def propose(
+    objective: Objective, optimum: Optimum, before: Tried, most: float,
+    progress: Callable[[str], None],
+) -> Proposal:  # fmt: skip
+    """Try all candidates on all plants; the best of those that nothing speaks against.
+
+    Those that keep the limit on the peak at both amplitudes come before those whose
+    peak is only no higher than before.
+
+    Args:
+        objective: plants, trials and aim.
+        optimum: what the descents found.
+        before: the present gains, tried.
+        most: the highest band that is promised, Hz.
+        progress: called with a line of text.
+    """
+    these = candidates(objective, optimum)
+    progress(f"try {len(these)} proposals in runs")
+    tried = run_trials(objective, these, most, tolerance_of(objective))
+    was = _reached(objective, before)
+    said = [
+        (*against(objective, t, before), *_narrower(objective, t, before, was))
+        for t in tried
+    ]
+    good = [t for t, reasons in zip(tried, said, strict=True) if not reasons]
+    most_dB = objective.limits.peak_dB + PEAK_SLACK
+    strict = [t for t in good if t.peak.max() <= most_dB]
+    if good:
+        best = max(strict or good, key=lambda t: _reached(objective, t))
+        return Proposal(before, best, (), len(these))
+    return Proposal(before, before, min(said, key=len), len(these))
+
+
+def _reached(objective: Objective, tried: Tried) -> float:
+    return objective.aim.measured(tried.figures(None))
+
+
+def _narrower(
+    objective: Objective, tried: Tried, before: Tried, was: float
+) -> tuple[str, ...]:
+    """That less of what is aimed at is reached than before, if that was sound."""
+    now = _reached(objective, tried)
+    least = was - (1 - NARROWER) * abs(was)
+    if not before.sound or now >= least:
+        return ()
+    return (f"no better than before in {objective.aim.description}",)
+
+
+def edges(objective: Objective, gains: Float[np.ndarray, "gains"],
+          optimum: Optimum) -> tuple[str, ...]:  # fmt: skip
+    """Names of the gains that are at an end of their search range."""
+    if not np.array_equal(gains, optimum.gains):
+        return ()
+    return tuple(objective.free[i].name for i in optimum.edges)

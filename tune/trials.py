@@ -1,0 +1,181 @@
+"""The runs in which a proposal is tried: locked, moving, steps, two amplitudes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+
+from hydrojax.control.loop import Scenario
+from hydrojax.control.simulation import hold, make_scenario
+from hydrojax.control.waveforms import random_sines, sinusoidal_path
+from hydrojax.rigfile.quantities import Setting
+from hydrojax.tune import measure
+
+SPEED, PERIOD = 0.03, 3.0
+"""The joint's motion in the runs that move: peak m/s, s; the paper's."""
+
+FORCE, FORCE_HZ = 300.0, 0.5
+"""The desired force of the run in which tracking is judged: N, Hz; the paper's."""
+
+SECONDS, SKIP = 4.0, 1.0
+"""Length of a run, and what of it is not counted, s."""
+
+SMALL = 0.3
+"""The smaller amplitude, of the stated one."""
+
+WINDOW = 0.25
+"""Length of the windows in which an oscillation is looked for, s."""
+
+EVENT = (0.1, 0.4)
+"""How long before and after a step of F_d, or a reversal of the joint, no oscillation
+is looked for, s: the answer to it is over by then."""
+
+SLOW = 5.0
+"""What varies more slowly than this (Hz) is no oscillation of the loop."""
+
+SUSTAINED = 0.25
+"""An oscillation fills at least this share of the windows: the joint may oscillate in
+one direction alone."""
+
+SHARE, NOISES = 0.05, 4.0
+"""An oscillation's RMS exceeds both this share of the desired force's RMS, and so many
+times what the sensors' noise makes of F."""
+
+FULL, SATURATED = 0.999, 0.01
+"""A command is at its end from this share of u_max on; it saturates where that is so in
+more than this share of the samples."""
+
+
+class Trials(NamedTuple):
+    """The runs of a setting.
+
+    Attributes:
+        names: of each.
+        scenarios: stacked.
+        F_d: of each, N.
+        skip: samples that are not counted.
+        stepped: whether its desired force steps, so that the command may saturate.
+        amplitude: of the desired force, RMS, N.
+        begin: first samples of the windows in which an oscillation is looked for.
+        given: of the two that measure a response, what makes it of their signals.
+    """
+
+    names: tuple[str, ...]
+    scenarios: Scenario
+    F_d: Float[np.ndarray, "trials N"]
+    skip: int
+    stepped: Bool[np.ndarray, "trials"]
+    amplitude: Float[np.ndarray, "trials"]
+    begin: tuple[Int[np.ndarray, "windows"], ...]
+    given: measure.Excitation
+
+
+RESPONSE, RESPONSE_SMALL, FORCE_LOCKED, MOVING, MOVING_SMALL = range(5)
+"""Places of those that give figures; the others are for the checks alone."""
+
+
+def make_trials(setting: Setting) -> Trials:
+    """All runs, at the setting's amplitude and at `SMALL` of it."""
+    h, A = float(setting.loop.h), float(setting.amplitude)
+    sines = measure.multisine(1 / h, period=SECONDS / 2)
+    t = np.arange(sines.shape.size) * h
+    rng = np.random.default_rng(41)
+    slow = np.sin(2 * np.pi * FORCE_HZ * t)
+    square = np.sign(np.sin(2 * np.pi * FORCE_HZ * t + 1e-9))
+    steps = tuple(np.arange(0, SECONDS, 0.5 / FORCE_HZ))
+    turns = tuple(np.arange(0, SECONDS, PERIOD / 2))
+    still, moves = hold(float(setting.x)), sinusoidal_path(SPEED, PERIOD)
+    table = (
+        ("locked", A / np.sqrt(2) * sines.shape, still, ()),
+        ("locked, small", SMALL * A / np.sqrt(2) * sines.shape, still, ()),
+        ("locked, 0.1 to 20 Hz", random_sines(rng, t, A / np.sqrt(2)), still, ()),
+        ("moving", FORCE * slow, moves, turns),
+        ("moving, small", SMALL * FORCE * slow, moves, turns),
+        ("steps", A * square, still, steps),
+        ("steps, moving", A * square, moves, (*steps, *turns)),
+    )
+    P_s, P_r, F_0 = (float(p) for p in (setting.P_s, setting.P_r, setting.F_0))
+    runs = [
+        make_scenario(F_0 + F_d, path, h, P_s, P_r, seed=i)
+        for i, (_, F_d, path, _) in enumerate(table)
+    ]
+    return Trials(
+        tuple(row[0] for row in table),
+        jax.tree.map(lambda *a: jnp.stack(a), *runs),
+        np.stack([np.asarray(r.F_d) for r in runs]),
+        round(SKIP / h),
+        np.array([set(steps) <= set(row[3]) for row in table]),
+        np.array([np.sqrt(np.mean(np.asarray(row[1]) ** 2)) for row in table]),
+        tuple(_quiet(row[3], h, t.size) for row in table),
+        sines,
+    )
+
+
+def _quiet(
+    events: tuple[float, ...], h: float, count: int
+) -> Int[np.ndarray, "windows"]:
+    """First samples of half-overlapping windows that are away from all events."""
+    n, width = round(WINDOW / h), round(1 / SLOW / h)
+    begin = np.arange(round(SKIP / h), count - n - width, n // 2)
+    early, late = EVENT
+    away = [
+        (begin * h > at + late) | ((begin + n) * h < at - early) for at in events
+    ]  # fmt: skip
+    return begin[np.all(away, axis=0)] if away else begin
+
+
+def rms_error(
+    trials: Trials, k: int, F: Float[np.ndarray, "rows N"]
+) -> Float[np.ndarray, "rows"]:
+    """RMS of F_d - F in trial `k`, N; inf where the run is not finite."""
+    off = (trials.F_d[k] - F)[:, trials.skip :]
+    with np.errstate(over="ignore", invalid="ignore"):
+        rms = np.sqrt(np.mean(off**2, axis=-1))
+    return np.where(np.isfinite(rms), rms, np.inf)
+
+
+def response_of(
+    trials: Trials, k: int, F: Float[np.ndarray, "rows N"]
+) -> Complex[np.ndarray, "rows lines"]:
+    """F/F_d of the runs of a trial with many sines, at `trials.given.hertz`."""
+    weights, skip = trials.given.weights, trials.given.skip
+    assert weights is not None
+    desired = weights @ trials.F_d[k, skip:]
+    return (F[:, skip:] @ weights.T) / desired
+
+
+def oscillation(
+    trials: Trials, k: int, F: Float[np.ndarray, "rows N"], h: float
+) -> Float[np.ndarray, "rows"]:
+    """RMS of what oscillates faster than `SLOW` in trial `k`, N.
+
+    The RMS that `SUSTAINED` of the windows exceed: of F_d - F without its mean over
+    1/SLOW, well after each step; in the trials with many sines, of the part of F that
+    does not repeat with their period.
+    """
+    n, width = round(WINDOW / h), round(1 / SLOW / h)
+    half = F.shape[1] // 2
+    with np.errstate(over="ignore", invalid="ignore"):
+        if k in (RESPONSE, RESPONSE_SMALL):
+            off = (F - np.roll(F, half, axis=-1)) / np.sqrt(2)
+            begin = np.arange(half, 2 * half - n + 1, n)
+        else:
+            off = trials.F_d[k] - F
+            off, begin = off - _smooth(off, width), trials.begin[k]
+        cut = off[:, begin[:, None] + np.arange(n)]
+        each = np.sqrt(np.mean(cut**2, axis=-1))
+    each = np.where(np.isfinite(each), each, np.inf)
+    place = int(np.ceil((1 - SUSTAINED) * begin.size)) - 1
+    return np.sort(each, axis=-1)[:, place]
+
+
+def _smooth(x: Float[np.ndarray, "rows N"], width: int) -> Float[np.ndarray, "rows N"]:
+    """The moving mean over about `width` samples, the ends held."""
+    side = width // 2
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = np.cumsum(np.pad(x, ((0, 0), (side + 1, side)), mode="edge"), axis=-1)
+        return (total[:, 2 * side + 1 :] - total[:, : -2 * side - 1]) / (2 * side + 1)

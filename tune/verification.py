@@ -1,0 +1,229 @@
+"""Proposals tried in simulated runs on every plant, and what speaks against each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hydrojax.tune import linearize, metrics, trials
+from hydrojax.tune.aims import TOLERANCE
+from hydrojax.tune.objective import ALL_SPEEDS, Objective
+from hydrojax.tune.program import program
+
+DELAY = "valve_delay.tau_u"
+
+DELAY_MARGIN = 0.25
+"""Samples of delay beyond each plant's own with which its loop has to be stable."""
+
+WORSE = 1.05
+"""How much worse a plant may be than before, relative: rounding and noise."""
+
+PEAK_SLACK = 1.0
+"""How far a peak at an amplitude may exceed the limit of the linear one, dB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """What gains give on every plant, in simulated runs with the adaptation at work.
+
+    Bands and peak are the worse of both amplitudes.
+
+    Attributes:
+        gains: in their units.
+        within_1dB, lag_90, follows_to: Hz; 0 where the run is not finite.
+        peak: dB.
+        rms, rms_moving: of F_d - F, locked at 0.1 to 20 Hz, and moving, N.
+        small_moving: `rms_moving` at the smaller amplitude, N.
+        eigenvalue: the largest with the adaptation live, at rest and at all speeds.
+        late: the same with `DELAY_MARGIN` more delay.
+        oscillates: in which trials.
+        saturates: in which trials.
+    """
+
+    gains: Float[np.ndarray, "gains"]
+    within_1dB: Float[np.ndarray, "plants"]
+    lag_90: Float[np.ndarray, "plants"]
+    follows_to: Float[np.ndarray, "plants"]
+    peak: Float[np.ndarray, "plants"]
+    rms: Float[np.ndarray, "plants"]
+    rms_moving: Float[np.ndarray, "plants"]
+    small_moving: Float[np.ndarray, "plants"]
+    eigenvalue: Float[np.ndarray, "plants"]
+    late: Float[np.ndarray, "plants"]
+    oscillates: Bool[np.ndarray, "trials plants"]
+    saturates: Bool[np.ndarray, "trials plants"]
+
+    @property
+    def sound(self) -> bool:
+        """Whether no plant is unstable, and none oscillates."""
+        return bool(np.all(self.eigenvalue < 1) and not np.any(self.oscillates))
+
+    def figures(self, plant: int | None) -> dict[str, float | bool | None]:
+        """By tune.json's names, of one plant, or the worst of each figure (None)."""
+        low = ("within_1dB", "lag_90", "follows_to")
+        high = ("peak", "rms", "rms_moving", "eigenvalue")
+        names = {
+            "within_1dB": "within_1dB_Hz", "lag_90": "lag_90_Hz",
+            "follows_to": "follows_to_Hz", "peak": "peak_dB", "rms": "rms_N",
+            "rms_moving": "rms_moving_N", "eigenvalue": "largest_eigenvalue",
+        }  # fmt: skip
+        out: dict[str, float | bool | None] = {}
+        for name in (*low, *high):
+            values = getattr(self, name)
+            one = values.min() if name in low else values.max()
+            one = one if plant is None else values[plant]
+            out[names[name]] = metrics.finite_or_none(one)
+        which = slice(None) if plant is None else plant
+        out["oscillates"] = bool(
+            np.any(self.oscillates[:, which]) or np.any(self.eigenvalue[which] >= 1)
+        )
+        return out
+
+
+def cap(objective: Objective, declared: bool) -> float:
+    """The highest band that is promised, Hz.
+
+    Args:
+        objective: whose sampling rate it is.
+        declared: whether spool and delay are both known.
+    """
+    rate = float(1 / objective.setting.loop.h)
+    return 0.45 * rate if declared else 0.1 * rate
+
+
+def run_trials(
+    objective: Objective, proposals: list[Float[np.ndarray, "gains"]], most: float,
+    tolerance: float = TOLERANCE,
+) -> list[Tried]:  # fmt: skip
+    """Try proposals: all trials, on all plants of the objective.
+
+    Args:
+        objective: plants, trials and programs; nothing is compiled anew.
+        proposals: gains.
+        most: the highest band that is promised, Hz.
+        tolerance: of |1 - F/F_d|.
+    """
+    m, t = len(objective.values), objective.trials
+    count, k = m * len(proposals), len(t.names)
+    rows = [objective.rows(g, (0.0,)) for g in proposals]
+    joined = jax.tree.map(lambda *a: np.concatenate(a * k), *rows)
+    which = np.repeat(np.arange(k), count)
+    table = objective.programs.runs(objective.setting, joined, which, t.scenarios)
+    table = table.reshape(k, len(proposals), m, *table.shape[1:])
+    return [
+        _tried(objective, g, table[:, i], most, tolerance)
+        for i, g in enumerate(proposals)
+    ]
+
+
+_bands = program(
+    jax.vmap(
+        lambda hertz, H, off: (
+            metrics.band_within(hertz, H),
+            metrics.first(hertz, metrics.unwrapped(H) + jnp.pi / 2),
+            jnp.where(off[0] < 0, 0.0, metrics.first(hertz, off)),
+        ),
+        in_axes=(None, 0, 0),
+    )
+)
+
+
+def _tried(
+    objective: Objective, gains: Float[np.ndarray, "gains"],
+    table: Float[np.ndarray, "trials plants N 2"], most: float, tolerance: float,
+) -> Tried:  # fmt: skip
+    t, h = objective.trials, float(objective.setting.loop.h)
+    F, u = table[..., 0], table[..., 1]
+    bands, peaks = [], []
+    for k in (trials.RESPONSE, trials.RESPONSE_SMALL):
+        with np.errstate(over="ignore", invalid="ignore"):
+            H = trials.response_of(t, k, F[k])
+        alive = np.isfinite(H).all(-1) & np.isfinite(F[k]).all(-1)
+        H = np.where(alive[:, None], H, 1e9)
+        each = _bands(t.given.hertz, H, tolerance - np.abs(1 - H))
+        bands.append([np.where(alive, np.minimum(b, most), 0.0) for b in each])
+        peaks.append(metrics.decibels(H).max(-1))
+    within, lag, follows = np.min(bands, axis=0)
+    eigenvalue, late, noise = _stability(objective, gains)
+    swings = np.array([trials.oscillation(t, k, F[k], h) for k in range(len(F))])
+    enough = np.maximum(trials.SHARE * t.amplitude[:, None], trials.NOISES * noise)
+    full = np.abs(u) >= trials.FULL * float(objective.setting.loop.law.u_max)
+    saturates = full.mean(-1) > trials.SATURATED
+    locked, moving, small = (
+        trials.rms_error(t, k, F[k])
+        for k in (trials.FORCE_LOCKED, trials.MOVING, trials.MOVING_SMALL)
+    )
+    return Tried(
+        np.asarray(gains), within, lag, follows, np.max(peaks, axis=0),
+        locked, moving, small, eigenvalue, late, swings > enough,
+        saturates & ~t.stepped[:, None],
+    )  # fmt: skip
+
+
+def _stability(
+    objective: Objective, gains: Float[np.ndarray, "gains"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Largest live eigenvalue as it is and with more delay, and noise of F, N."""
+    speeds, m = (0.0, *ALL_SPEEDS), len(objective.values)
+    rows = objective.rows(gains, speeds)
+    carries = objective.programs.settle(objective.setting, rows)
+    full = objective.programs.systems(objective.setting, rows, carries)
+    largest = linearize.largest_eigenvalue(full).reshape(-1, m).max(0)
+    at_rest = jax.tree.map(lambda a: a[:m], full)
+    H = linearize.responses(linearize.reduced(at_rest, objective.states), objective.few)
+    power = np.sum(np.abs(H[:, :, 0, 2:]) ** 2, axis=-1)
+    noise = np.sqrt(np.trapezoid(power, objective.few) / objective.few[-1])
+    late = largest
+    if DELAY in objective.names:
+        i = objective.names.index(DELAY)
+        plant = rows.plant.copy()
+        plant[:, i] += DELAY_MARGIN * float(objective.setting.loop.h)
+        more = rows._replace(plant=plant)
+        full = objective.programs.systems(objective.setting, more, carries)
+        late = linearize.largest_eigenvalue(full).reshape(-1, m).max(0)
+    return largest, late, noise
+
+
+def against(objective: Objective, tried: Tried, before: Tried) -> tuple[str, ...]:
+    """What speaks against proposing these gains; empty where nothing does."""
+    names, out = objective.trials.names, []
+    m = tried.eigenvalue.size
+
+    def of(bad: np.ndarray) -> str:
+        return f"on {int(np.sum(bad))} of {m} plants"
+
+    if np.any(bad := tried.eigenvalue >= 1):
+        out.append(
+            f"unstable with the adaptation live {of(bad)} (largest eigenvalue "
+            f"{tried.eigenvalue.max():.4f})"
+        )
+    elif np.any(bad := tried.late >= 1):
+        out.append(f"unstable with {DELAY_MARGIN} samples more delay {of(bad)}")
+    for says, table in (
+        ("oscillates", tried.oscillates),
+        ("saturates", tried.saturates),
+    ):
+        for name, bad in zip(names, table, strict=True):
+            if bad.any():
+                out.append(f"{says} in the run {name!r} {of(bad)}")
+    for says, now, was in (
+        ("locked", tried.rms, before.rms),
+        ("moving", tried.rms_moving, before.rms_moving),
+        ("moving, small", tried.small_moving, before.small_moving),
+    ):
+        wide = objective.limits.tracking * (WORSE if before.sound else 1.0)
+        bad = now > wide * was if before.sound else now > wide * np.max(was)
+        if np.any(bad):
+            i = int(np.argmax(now / was))
+            out.append(
+                f"tracks worse ({says}) {of(bad)}, {now[i]:.3g} N RMS against "
+                f"{was[i]:.3g} N before"
+            )
+    peak = max(objective.limits.peak_dB + PEAK_SLACK, float(np.max(before.peak)))
+    if np.any(bad := tried.peak > peak):
+        out.append(f"peak of {tried.peak.max():.1f} dB {of(bad)}")
+    return tuple(out)
