@@ -118,7 +118,7 @@ class Counterbalance(LineEffect):
 
     def outlet(self, memory, out_1, out_2):
         def passes(k, share, out):
-            return out * share * jax.lax.rsqrt(share**2 + k * out**2)
+            return out * jax.lax.rsqrt(1 + k * (out / share) ** 2)
 
         share_1, share_2 = memory[1]
         return passes(self.k_1, share_1, out_1), passes(self.k_2, share_2, out_2)
