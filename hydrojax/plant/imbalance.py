@@ -13,7 +13,7 @@ from hydrojax.plant.rig import Rig
 
 def imbalance(
     rig: Rig, w: Windows
-) -> tuple[Float[Array, "windows n-1"], Float[Array, "windows n-1"]]:
+) -> tuple[Float[Array, "windows ticks"], Float[Array, "windows ticks"]]:
     """What each chamber's flow balance lacks over every tick, at the measured
     pressures, as a displacement of the piston, [W, lead+T-1] each; m.
 

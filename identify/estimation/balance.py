@@ -48,7 +48,7 @@ class Linear(NamedTuple):
 
     values: Values
     where: np.ndarray
-    gram: Float[np.ndarray, "k+1 k+1"]
+    gram: Float[np.ndarray, "rows rows"]
 
     @classmethod
     def of(
@@ -56,7 +56,7 @@ class Linear(NamedTuple):
         problem: Problem,
         values: Values,
         columns: Sequence[str | None],
-        gram: Float[np.ndarray, "columns+1 columns+1"],
+        gram: Float[np.ndarray, "rows rows"],
     ) -> Linear:
         """Without the columns that stand for nothing, and with what is known ahead."""
         model = problem.model
@@ -180,7 +180,7 @@ def _run(
     directions: Float[Array, "n_1 k"],
     batch: Batch,
     weight: Float[Array, "rows ticks"],
-) -> Float[Array, "k+1 k+1"]:
+) -> Float[Array, "rows_k rows_k"]:
     """Gram matrix of the balances' sums, each over its displacement's RMS."""
     n, w = model.hydraulic, batch.windows
 
