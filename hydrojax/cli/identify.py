@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from collections.abc import Collection
 from importlib import resources
 from json import dumps
@@ -166,7 +168,7 @@ def _finish(
     result: Result, out: Path, json: bool, quiet: bool, failing: Collection[str]
 ) -> None:
     """Write the report and print its summary; leave with 1 on a failing verdict."""
-    result.save(out)
+    result.save(out, shlex.join(["hydrojax", *sys.argv[1:]]))
     outcome = result.outcome
     if json:
         from hydrojax.identify.results.report_json import report_json

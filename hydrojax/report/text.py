@@ -91,15 +91,21 @@ def words(name: str) -> str:
 
 
 def p_text(p: float) -> str:
-    """A p-value as it is printed."""
+    """A p-value as it is printed; below 1e-6 none is meant to its last power."""
     if not np.isfinite(p):
         return "–"
-    if p < 1e-300:
-        return "< 10⁻³⁰⁰"
+    if p < 1e-6:
+        return "< 10⁻⁶"
     if p >= 0.001:
         return f"{p:.2g}"
     mantissa, exponent = f"{p:.0e}".split("e")
     return f"{mantissa} × 10{raised(int(exponent))}"
+
+
+def p_equation(p: float) -> str:
+    """A p-value behind the letter p: `= 0.02`, or `< 10⁻⁶`."""
+    text = p_text(p)
+    return text if text.startswith("<") else f"= {text}"
 
 
 def quantity_text(

@@ -45,6 +45,7 @@ def report_json(outcome: Outcome) -> dict[str, Any]:
         "notes": o.notes,
         "seconds": o.seconds,
         "criteria": asdict(o.criteria),
+        "files": [asdict(f) for f in o.files],
     }
     return _strict(found)
 
