@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -86,7 +87,7 @@ def _rows(known: Mapping[str, Spec]) -> Iterator[tuple[str, ...]]:
         yield (f"`{name}`{also}", _unit(s.unit), limits, f"{usual:.3g}", s.description)
 
 
-HEADS = ("key", "unit", "range at most", "usual size", "meaning")
+HEADS = ("key", "unit", "limits", "usual size", "meaning")
 
 
 def _doc(thing: object) -> str:
@@ -192,11 +193,16 @@ def commands_page() -> str:
         command = group.commands[name]
         parts += [f"## {name}\n", inspect.cleandoc(command.help or "") + "\n"]
         rows = (
-            (f"`{_called(p)}`", getattr(p, "help", None) or "–", _default(p))
+            (f"`{_called(p)}`", _plain(getattr(p, "help", None)), _default(p))
             for p in command.params
         )
         parts.append(_table(("argument or option", "meaning", "default"), rows))
     return "\n".join(parts)
+
+
+def _plain(text: str | None) -> str:
+    """A help text, of which Markdown takes nothing for emphasis."""
+    return re.sub(r"([*_<\[\]])", r"\\\1", text or "–")
 
 
 def _called(parameter: Any) -> str:
