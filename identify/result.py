@@ -19,6 +19,7 @@ from hydrojax.identify.report.write import plot, result_html, write_report
 from hydrojax.identify.results.outcome import FoundEffect, Outcome
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant.rig import Rig
+from hydrojax.report.text import p_equation
 from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile
 
@@ -162,7 +163,7 @@ class Result:
         used = [f"{kind}: {', '.join(names)}" for kind, names in logs.items() if names]
         fitted = self.parameters.loc[lambda rows: rows["free"]].drop(columns="free")
         found = [
-            f"{e.name}: p = {e.p_value:.2g}"
+            f"{e.name}: p {p_equation(e.p_value)}"
             + (f", not distinguishable from {', '.join(e.cannot_tell_from)}"
                if e.cannot_tell_from else "")
             for e in o.effects
@@ -188,13 +189,17 @@ class Result:
         """
         return plot(self.outcome, picture)
 
-    def save(self, folder: str | Path) -> None:
+    def save(self, folder: str | Path, command_line: str = "") -> None:
         """Write report.json, report.html, its figures and rig.toml into a folder.
+
+        Args:
+            folder: is made where there is none.
+            command_line: by which the result came about, for the report.
 
         Raises:
             OSError: it cannot be written.
         """
-        write_report(self.outcome, Path(folder))
+        write_report(self.outcome, Path(folder), command_line)
 
     def __repr__(self) -> str:
         o = self.outcome

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hydrojax.report import markup
+from hydrojax.report.text import in_picture
 from hydrojax.tune.optimize import TIGHT
 from hydrojax.tune.tuning import Tuning
 from hydrojax.tune.verification import PEAK_SLACK
@@ -175,7 +176,7 @@ def bode_figure(t: Tuning) -> Figure:
         ax.set_xlim(0.5, 200)
         ax.grid(alpha=0.3)
     top.legend()
-    top.set_title(f"{t.name}: linearised, adaptation live", fontsize=10)
+    top.set_title(f"{in_picture(t.name)}: linearised, adaptation live", fontsize=10)
     return fig
 
 

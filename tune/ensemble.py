@@ -82,14 +82,14 @@ def from_findings(
     Raises:
         InputError: nothing in the report was fitted.
     """
-    found = findings.parameters
+    found = findings.known(setting)
     known = parameter_specs(setting.loop.rig)
-    free = [n for n, p in found.items() if p.get("std") and n in known]
+    free = [n for n, p in found.items() if p.std and p.value is not None]
     if not free:
         raise InputError(
             f"{findings.source}: nothing in its report was fitted; use --spread instead"
         )
-    middle = np.array([found[n]["value"] for n in free])
+    middle = np.array([found[n].value for n in free])
     root, text = _root(findings, free)
     rng = np.random.default_rng([seed, 22])
     values = middle + rng.normal(size=(count, middle.size)) @ root.T
@@ -153,7 +153,7 @@ def with_unsaid(
 
 def _root(findings: Findings, free: list[str]) -> tuple[Float[np.ndarray, "n n"], str]:
     """A square root of the covariance of what is free, and what it is in words."""
-    std = np.array([findings.parameters[n]["std"] for n in free])
+    std = np.array([findings.parameters[n].std for n in free])
     full = findings.covariance
     if full is None or not set(free) <= set(full[0]):
         return np.diag(std), "without correlations, which the report does not hold"

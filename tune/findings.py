@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.parameters import parameter_specs, put
+from hydrojax.report.record import Channel, Parameter, read_report
 from hydrojax.rigfile.quantities import Setting
 
 UNVALIDATED = 0.05
@@ -37,7 +37,7 @@ class Findings:
 
     source: Path
     effects: tuple[str, ...]
-    parameters: Mapping[str, Mapping[str, Any]]
+    parameters: Mapping[str, Parameter]
     covariance: tuple[tuple[str, ...], Float[np.ndarray, "n n"]] | None = None
     absent: tuple[str, ...] = ()
     residual: float = UNVALIDATED
@@ -49,57 +49,55 @@ class Findings:
         Raises:
             InputError: there is no report, or it is not one of hydrojax.
         """
-        path = Path(folder) / "report.json"
-        try:
-            report = json.loads(path.read_text(encoding="utf-8"))
-            found = dict(report["parameters"])
-            for effect in report["effects"]:
-                own = effect["parameters"].items()
-                found |= {f"{effect['name']}.{name}": p for name, p in own}
-            names = tuple(effect["name"] for effect in report["effects"])
-        except (OSError, ValueError, KeyError, TypeError) as err:
-            raise InputError(
-                f"{path}: no report of identify or trace: expected the folder that "
-                "--out gave"
-            ) from err
-        full = report.get("covariance")
-        covariance = (
-            (tuple(full["names"]), np.array(full["matrix"], float)) if full else None
-        )
-        absent = tuple(
-            c["name"] for c in report.get("candidates", ()) if c["status"] == "absent"
-        )
+        report = read_report(folder)
+        full = report.covariance
         return cls(
-            Path(folder), names, found, covariance, absent,
-            _residual(report.get("channels", {})),
-        )  # fmt: skip
+            Path(folder),
+            tuple(effect.name for effect in report.effects),
+            report.every_parameter,
+            (tuple(full.names), np.array(full.matrix)) if full else None,
+            tuple(c.name for c in report.candidates if c.status == "absent"),
+            _residual(report.channels),
+        )
 
     @property
     def fitted(self) -> bool:
         """Whether any parameter has a standard deviation."""
-        return any(p.get("std") for p in self.parameters.values())
+        return any(p.std for p in self.parameters.values())
 
     def apply(self, setting: Setting) -> Setting:
         """The setting with the plant that was found; the controller as it was."""
-        known = parameter_specs(setting.loop.rig)
-        names = [
-            n
-            for n, p in self.parameters.items()
-            if n in known and p.get("value") is not None
-        ]
-        if not names:
+        found = {n: p for n, p in self.known(setting).items() if p.value is not None}
+        if not found:
             return setting
-        values = np.array([self.parameters[n]["value"] for n in names])
-        rig = put(setting.loop.rig, names, values)
+        values = np.array([p.value for p in found.values()])
+        rig = put(setting.loop.rig, list(found), values)
         return eqx.tree_at(lambda s: s.loop.rig, setting, rig)
 
+    def known(self, setting: Setting) -> dict[str, Parameter]:
+        """Those of the parameters that the setting's rig has.
 
-def _residual(channels: Mapping[str, Mapping[str, Any]]) -> float:
+        Raises:
+            InputError: one is in another unit than the rig's.
+        """
+        specs = parameter_specs(setting.loop.rig)
+        found = {n: p for n, p in self.parameters.items() if n in specs}
+        for name, p in found.items():
+            wants = {units.with_command(specs[name].unit, u) for u in ("V", "1")}
+            if p.unit not in wants:
+                raise InputError(
+                    f"{self.source}: report.json: {name} is in {p.unit}, not in "
+                    f"{specs[name].unit}; run identify or trace again"
+                )
+        return found
+
+
+def _residual(channels: Mapping[str, Channel]) -> float:
     """The largest relative error that validation left; at most all of a signal."""
     shares = []
     for channel in channels.values():
-        left = (channel.get("validate") or channel).get("after")
-        held = (channel.get("validate") or channel).get("held") or channel.get("held")
-        if left is not None and held:
-            shares.append(min(left / held, 1.0))
+        judged = channel.validate_ or channel
+        held = judged.held or channel.held
+        if judged.after is not None and held:
+            shares.append(min(judged.after / held, 1.0))
     return max(shares, default=UNVALIDATED)

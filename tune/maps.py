@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from hydrojax.report.text import in_picture
 from hydrojax.rigfile.controller import PAPER
 from hydrojax.tune.selection import (
     axes_of,
@@ -65,7 +66,7 @@ def map_figure(
     _legend(fig, data, x, y)
     what = data[f"{ways[0]}_{quantity}"].attrs["long_name"]
     extra = ", reached by 95 % of the plants" if suffix else ""
-    fig.suptitle(f"{data.attrs['rig']}: {what}{extra}", fontsize=11)
+    fig.suptitle(f"{in_picture(data.attrs['rig'])}: {what}{extra}", fontsize=11)
     return fig
 
 

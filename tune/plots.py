@@ -5,6 +5,7 @@ from __future__ import annotations
 import xarray as xr
 from matplotlib.figure import Figure
 
+from hydrojax.report.text import in_picture
 from hydrojax.tune.maps import NAMES, map_figure
 from hydrojax.tune.selection import (
     axes_of,
@@ -45,7 +46,7 @@ def line_figure(data: xr.Dataset) -> Figure:
     lines, names = fig.axes[0].get_legend_handles_labels()
     fig.legend(lines, names, loc="outside lower center", ncols=len(lines), fontsize=8,
                frameon=False)  # fmt: skip
-    fig.suptitle(f"{data.attrs['rig']}: over {x}", fontsize=11)
+    fig.suptitle(f"{in_picture(data.attrs['rig'])}: over {x}", fontsize=11)
     return fig
 
 

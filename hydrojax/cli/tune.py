@@ -26,7 +26,7 @@ from hydrojax.cli.options import (
 from hydrojax.cli.words import read_axes, read_gains, read_point
 from hydrojax.errors import InputError, check_known
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
-from hydrojax.report.files import write_all
+from hydrojax.report.files import settle, write_all
 from hydrojax.report.page import png
 
 if TYPE_CHECKING:
@@ -240,6 +240,7 @@ def _rig_of(folder: Path, rig: Path | None) -> Path:
     """The rig file of a folder of identify or trace."""
     if rig is not None:
         return rig
+    settle(folder)
     if (folder / "rig.toml").exists():
         return folder / "rig.toml"
     raise InputError(

@@ -9,9 +9,10 @@ MCAP file or a ROS 2 bag it says which topic and field a signal is; see `bags`.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,7 @@ class Log:
         notes: one-line remarks for the report.
         channels: the [channels] with which its columns were read, by signal; None for a
             log that is made of arrays, whose signals have the rig's names and signs.
+        sha256: of the file's content; "" where the log is no single file.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Log:
     segments: tuple[tuple[int, int], ...] = ()
     notes: tuple[str, ...] = ()
     channels: Mapping[str, Channel] | None = None
+    sha256: str = ""
 
     @classmethod
     def load(
@@ -96,7 +99,8 @@ class Log:
             file = read_bag(path, {name: c.column for name, c in channels.items()})
         else:
             file = read_table(path)
-        return _log_of(file, channels, shortest)
+        log = _log_of(file, channels, shortest)
+        return replace(log, sha256=_digest(path)) if path.is_file() else log
 
     @classmethod
     def from_frame(
@@ -127,6 +131,11 @@ class Log:
         frame = pd.DataFrame({"time": self.time, **self.signals})
         frame.attrs["units"] = {"time": "s", **self.units}
         return frame
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log:

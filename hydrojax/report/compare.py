@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,9 +10,9 @@ from typing import Any
 
 from hydrojax.errors import InputError
 from hydrojax.report.page import page
+from hydrojax.report.record import Channel, Parameter, Report, read_report
 from hydrojax.report.text import quantity_text
 
-FORMAT = "hydrojax-report/1"
 APART = 3.0
 """Difference of two values, in standard deviations of it, from which they differ."""
 
@@ -100,38 +99,19 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
     Raises:
         InputError: no report in a folder, or one of another format.
     """
-    first, second = _read(Path(a)), _read(Path(b))
-    both = (first, second)
-    judged = [r["logs"].get("test") or r["logs"]["validate"] for r in both]
-    found = [{e["name"]: e for e in r["effects"]} for r in both]
+    both = first, second = read_report(a), read_report(b)
+    judged = [r.logs.test or r.logs.validate_ for r in both]
+    found = [{e.name: e for e in r.effects} for r in both]
     return Comparison(
         names=(Path(a).name or str(a), Path(b).name or str(b)),
-        rigs=(first["rig"], second["rig"]),
-        verdicts=(first["verdict"], second["verdict"]),
-        sentences=(first.get("sentence", ""), second.get("sentence", "")),
+        rigs=(first.rig, second.rig),
+        verdicts=(first.verdict, second.verdict),
+        sentences=(first.sentence, second.sentence),
         same_logs=judged[0] == judged[1],
-        channels=[
-            Pair(n, _unit(n, "channels", both), *(_of(r, n, "after") for r in both))
-            for n in _names([r["channels"] for r in both])
-        ],
+        channels=_channels(both),
         effects=[(n, n in found[0], n in found[1]) for n in _names(found)],
         parameters=_parameters(both),
     )
-
-
-def _read(folder: Path) -> dict[str, Any]:
-    path = folder / "report.json" if folder.is_dir() else folder
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as err:
-        raise InputError(
-            f"{folder}: no report.json in it; name a folder of identify or trace"
-        ) from err
-    except ValueError as err:
-        raise InputError(f"{path}: not JSON; run identify or trace again") from err
-    if not isinstance(report, dict) or report.get("format") != FORMAT:
-        raise InputError(f"{path}: not a report of identify or trace ({FORMAT})")
-    return report
 
 
 def _names(tables: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -139,29 +119,38 @@ def _names(tables: Sequence[Mapping[str, Any]]) -> list[str]:
     return list(dict.fromkeys(name for table in tables for name in table))
 
 
-def _of(report: Mapping[str, Any], channel: str, key: str) -> float | None:
-    return report["channels"].get(channel, {}).get(key)
+def _unit(name: str, sides: Sequence[Channel | Parameter | None]) -> str:
+    """The unit that both have.
+
+    Raises:
+        InputError: they have different ones.
+    """
+    found = {s.unit for s in sides if s is not None}
+    if len(found) > 1:
+        raise InputError(
+            f"{name} is in {' and in '.join(sorted(found))} in the two reports; "
+            "compare reports of one rig"
+        )
+    return found.pop()
 
 
-def _unit(name: str, table: str, both: Sequence[Mapping[str, Any]]) -> str:
-    return next(r[table][name]["unit"] for r in both if name in r[table])
+def _channels(both: Sequence[Report]) -> list[Pair]:
+    out = []
+    for name in _names([r.channels for r in both]):
+        sides = [r.channels.get(name) for r in both]
+        a, b = (s and s.after for s in sides)
+        out.append(Pair(name, _unit(name, sides), a, b))
+    return out
 
 
-def _parameters(both: Sequence[Mapping[str, Any]]) -> list[Pair]:
+def _parameters(both: Sequence[Report]) -> list[Pair]:
     """The fitted parameters, and those of the effects."""
-    tables: list[dict[str, Mapping[str, Any]]] = []
-    for report in both:
-        own = dict(report["parameters"])
-        for effect in report["effects"]:
-            for name, p in effect["parameters"].items():
-                own[f"{effect['name']}.{name}"] = p
-        tables.append(own)
+    tables = [report.every_parameter for report in both]
     out = []
     for name in _names(tables):
-        sides = [table.get(name, {}) for table in tables]
-        unit = next(s["unit"] for s in sides if s)
-        a, b = (s.get("value") for s in sides)
-        std_a, std_b = (s.get("std") for s in sides)
+        sides = [table.get(name) for table in tables]
+        a, b = (s and s.value for s in sides)
+        std_a, std_b = (s and s.std for s in sides)
         if a != b or std_a is not None or std_b is not None:  # not held in both
-            out.append(Pair(name, unit, a, b, std_a, std_b))
+            out.append(Pair(name, _unit(name, sides), a, b, std_a, std_b))
     return out

@@ -7,6 +7,8 @@ import re
 
 import numpy as np
 
+from hydrojax.errors import one_line
+
 _PREFIXES = {
     "Pa": {1e9: "G", 1e6: "M", 1e3: "k", 1.0: ""},
     "N": {1e6: "M", 1e3: "k", 1.0: ""},
@@ -75,21 +77,35 @@ def signal_unit(name: str, command: str = "") -> str:
     return f"{unit or 1}/s" if rate else unit
 
 
+def in_picture(name: str) -> str:
+    """A name of a rig, a log or a label as it may stand in a picture.
+
+    Matplotlib would take what stands between two dollar signs for mathematics.
+    """
+    return one_line(name, 80).replace("$", r"\$")
+
+
 def words(name: str) -> str:
     """An effect's name as plain words."""
     return name.replace("_", " ")
 
 
 def p_text(p: float) -> str:
-    """A p-value as it is printed."""
+    """A p-value as it is printed; below 1e-6 none is meant to its last power."""
     if not np.isfinite(p):
         return "–"
-    if p < 1e-300:
-        return "< 10⁻³⁰⁰"
+    if p < 1e-6:
+        return "< 10⁻⁶"
     if p >= 0.001:
         return f"{p:.2g}"
     mantissa, exponent = f"{p:.0e}".split("e")
     return f"{mantissa} × 10{raised(int(exponent))}"
+
+
+def p_equation(p: float) -> str:
+    """A p-value behind the letter p: `= 0.02`, or `< 10⁻⁶`."""
+    text = p_text(p)
+    return text if text.startswith("<") else f"= {text}"
 
 
 def quantity_text(

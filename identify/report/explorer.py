@@ -22,6 +22,7 @@ from hydrojax.report.text import engineering
 
 BYTES = 1_200_000
 """What all residuals of a page may take; a log that fits is kept sample by sample."""
+COLOURS = {"measured": "#1c1f23", "before": BEFORE, "after": AFTER, "noise": BAND}
 STEPS = 32767
 """Steps from zero to the largest value of a line; one further down is a gap."""
 
@@ -104,7 +105,7 @@ def _line(low: np.ndarray, high: np.ndarray, factor: float) -> list[Any]:
 def _log(s: Series, factors: dict[str, float], ways: list[str], room: float) -> Any:
     own = [c for c in factors if c in s.before and c in s.after]
     # Two bytes a value, and base64 writes three bytes as four.
-    values = room / max(len(own) * len(ways), 1) / (2 * 4 / 3)
+    values = room / max(len(own) * (len(ways) + 1), 1) / (2 * 4 / 3)
     start, step, size = line_columns(s.t, values)
     lines = {
         c: {
@@ -113,8 +114,13 @@ def _log(s: Series, factors: dict[str, float], ways: list[str], room: float) -> 
         }
         for c in own
     }
+    measured = {
+        c: _line(*envelope(s.t, s.measured[c], start, step, size), factors[c])
+        for c in own
+    }
     return {
         "name": s.log, "start": start, "step": step, "size": size, "lines": lines,
+        "measured": measured,
     }  # fmt: skip
 
 
@@ -138,6 +144,6 @@ def explorer_data(outcome: Outcome) -> dict[str, Any] | None:
     return {
         "channels": shown,
         "ways": ways,
-        "colours": {"before": BEFORE, "after": AFTER, "noise": BAND},
+        "colours": COLOURS,
         "logs": [_log(s, factors, ways, BYTES / len(series)) for s in series],
     }

@@ -26,7 +26,7 @@ from hydrojax.identify.report.figures import (
     sheet,
     styled,
 )
-from hydrojax.report.text import engineering, signal_unit, symbol, words
+from hydrojax.report.text import engineering, in_picture, signal_unit, symbol, words
 
 if TYPE_CHECKING:
     from hydrojax.identify.results.outcome import FoundEffect, Outcome, Series
@@ -57,7 +57,9 @@ def residual_figure(outcome: Outcome) -> Figure | None:
             _residual(ax, s, name, c.noise, factor)
         row[0].set_ylabel(f"{symbol(name)} residual\n[{unit or 1}]")
     for ax, s in zip(axes[-1], series, strict=True):
-        ax.set_xlabel(f"time [s], {s.log}" if len(series) > 1 else "time [s]")
+        ax.set_xlabel(
+            f"time [s], {in_picture(s.log)}" if len(series) > 1 else "time [s]"
+        )
     figure.align_ylabels()
     changed = moved(series, names)
     handles = [
@@ -111,7 +113,7 @@ def loop_figure(outcome: Outcome) -> Figure | None:
     left = ((loop.measured - loop.simulated), AFTER, "measured − simulated")
     for y, colour, label in (off, left):
         bottom.plot(t, y[part], color=colour, lw=0.8, label=label)
-    bottom.set(xlabel=f"time [s], {loop.log}", ylabel="difference [N]")
+    bottom.set(xlabel=f"time [s], {in_picture(loop.log)}", ylabel="difference [N]")
     for ax in (top, bottom):
         ax.margins(x=0.01)
         ax.legend(loc="upper right", ncols=3, fontsize=8)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from hydrojax import __version__
 from hydrojax.errors import InputError
-from hydrojax.identify.report import figures, residuals
+from hydrojax.identify.report import figures, residuals, traces
 from hydrojax.identify.report.explorer import explorer_data
+from hydrojax.identify.report.headline import grade, headline, loop_verdict
 from hydrojax.identify.results.outcome import (
     ChannelErrors,
     Outcome,
@@ -22,9 +25,10 @@ from hydrojax.identify.results.report_json import report_json
 from hydrojax.report import markup
 from hydrojax.report.files import digest, write_all
 from hydrojax.report.page import Picture, page
-from hydrojax.report.text import p_text, quantity_text, words
+from hydrojax.report.text import p_equation, p_text, quantity_text, words
 
 PICTURES = {
+    "traces": traces,
     "error": figures,
     "dependence": residuals,
     "residual": residuals,
@@ -34,7 +38,7 @@ PICTURES = {
 }
 """In the order of the page, with the module of `<name>_figure`, `report_<name>.png`."""
 
-TELLING = ("dependence", "residual", "error", "parameter", "ranking", "loop")
+TELLING = ("dependence", "residual", "traces", "error", "parameter", "ranking", "loop")
 """The pictures, the most telling first."""
 
 
@@ -160,6 +164,7 @@ def report_pictures(outcome: Outcome) -> list[Picture]:
 def _described(name: str, outcome: Outcome) -> tuple[str, str]:
     """Alternative text and caption of a figure."""
     return {
+        "traces": traces.traces_said,
         "error": _error_said,
         "dependence": _dependence_said,
         "residual": _residual_said,
@@ -241,11 +246,13 @@ def _parameter_said(outcome: Outcome) -> tuple[str, str]:
     )
 
 
-def report_page(outcome: Outcome, shown: Sequence[Picture]) -> str:
-    """report.html, with its pictures inside."""
+def report_page(
+    outcome: Outcome, shown: Sequence[Picture], made: Mapping[str, str]
+) -> str:
+    """report.html, with its pictures inside; `made`: how, as in report.json."""
     help_ = (
         quantity_text, change, remarks, times_noise, standing, share, listed, words,
-        p_text, skill_text,
+        p_text, p_equation, skill_text, loop_verdict,
     )  # fmt: skip
     return page(
         Path(__file__).parent / "report.html",
@@ -261,22 +268,30 @@ def report_page(outcome: Outcome, shown: Sequence[Picture]) -> str:
         at_noise=outcome.criteria.at_noise,
         judged=figures.judged(outcome),
         explorer=explorer_data(outcome),
+        headline=headline(outcome),
+        grade=grade(outcome),
+        made=made,
     )
 
 
-def write_report(outcome: Outcome, folder: Path) -> None:
+def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None:
     """Write report.json, report.html, the figures and rig.toml into `folder`.
 
     All is made before the first file appears; a report that stands there is replaced,
     and files that are not a report's stay.
     """
     shown = report_pictures(outcome)
-    content = report_json(outcome)
+    made = {
+        "version": __version__,
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "command_line": command_line,
+    }
+    content = report_json(outcome) | {"made": made}
     if outcome.rig_file:
         content["rig_toml_sha256"] = digest(outcome.rig_file.encode())
     text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
     files = {f"report_{p.name}.png": p.png for p in shown}
-    files["report.html"] = report_page(outcome, shown).encode()
+    files["report.html"] = report_page(outcome, shown, made).encode()
     files["report.json"] = (text + "\n").encode()
     if outcome.rig_file:
         files["rig.toml"] = outcome.rig_file.encode()

@@ -204,6 +204,25 @@ class LoopCheck:
 
 
 @dataclass(frozen=True)
+class LogFile:
+    """One log of a run.
+
+    Attributes:
+        name: of the file.
+        use: "fit", "validate" or "test".
+        rows: number of rows.
+        seconds: length, s.
+        sha256: of the file's content; "" for a log that is no file.
+    """
+
+    name: str
+    use: str
+    rows: int
+    seconds: float
+    sha256: str = ""
+
+
+@dataclass(frozen=True)
 class Covariance:
     """Covariance of the fitted parameters inside their ranges, by name; SI."""
 
@@ -220,7 +239,7 @@ class Outcome:
     the rig file with the identified values and the effects found; `values` are
     all parameters by name, SI, as stored; `criteria` the thresholds that decided;
     `inputs` what looks wrong with rig file and logs. `validate_logs` are empty where
-    none were given: errors are then those of the fitted logs.
+    none were given: errors are then those of the fitted logs. `files` are the logs.
     """
 
     command: str
@@ -245,6 +264,7 @@ class Outcome:
     values: dict[str, float] = field(default_factory=dict)
     criteria: Criteria = Criteria()
     inputs: tuple[Finding, ...] = ()
+    files: tuple[LogFile, ...] = ()
 
     @property
     def explained_share(self) -> float:

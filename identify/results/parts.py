@@ -16,6 +16,7 @@ from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import (
     FoundEffect,
+    LogFile,
     LoopCheck,
     Parameter,
     Series,
@@ -274,4 +275,20 @@ def check_loop(
         tracking_measured=rms(desired - measured),
         tracking_simulated=rms(desired - simulated),
         warning=run.warning(),
+    )
+
+
+def files_of(case: Case) -> tuple[LogFile, ...]:
+    """The logs, by what they were for."""
+    uses = {
+        "fit": case.fit_logs,
+        "validate": case.check_logs if case.held_out else (),
+        "test": case.test_logs,
+    }
+    return tuple(
+        LogFile(
+            log.name, use, log.time.size, float(log.time[-1] - log.time[0]), log.sha256
+        )
+        for use, logs in uses.items()
+        for log in logs
     )

@@ -15,8 +15,7 @@ from hydrojax.identify.results.outcome import (
     Parameter,
     Unexplained,
 )
-
-FORMAT = "hydrojax-report/1"
+from hydrojax.report.record import FORMAT
 
 
 def report_json(outcome: Outcome) -> dict[str, Any]:
@@ -46,6 +45,7 @@ def report_json(outcome: Outcome) -> dict[str, Any]:
         "notes": o.notes,
         "seconds": o.seconds,
         "criteria": asdict(o.criteria),
+        "files": [asdict(f) for f in o.files],
     }
     return _strict(found)
 

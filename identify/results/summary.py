@@ -25,6 +25,7 @@ from hydrojax.identify.results.outcome import (
     Unexplained,
 )
 from hydrojax.identify.results.parts import (
+    files_of,
     named_effects,
     parameters_of,
     series_of,
@@ -96,6 +97,7 @@ def summarise(
         values=state.named,
         covariance=Covariance(uncertainty.inside, uncertainty.covariance),
         criteria=state.criteria,
+        files=files_of(case),
     )
 
 

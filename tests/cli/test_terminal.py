@@ -78,7 +78,9 @@ def outcome(verdict: str) -> SimpleNamespace:
 def fitted(monkeypatch, tmp_path):
     """`identify` without the work: what it comes to, and whether it was saved."""
     saved = []
-    result = SimpleNamespace(outcome=outcome("unknown"), save=saved.append)
+    result = SimpleNamespace(
+        outcome=outcome("unknown"), save=lambda folder, _: saved.append(folder)
+    )
     monkeypatch.setattr(api, "fit", lambda *_, **__: result)
     words = ("identify", DEMO / "rig.toml", DEMO / "fit_1.csv.gz", "--out", tmp_path)
     return words, saved

@@ -8,6 +8,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -26,8 +27,10 @@ from hydrojax.identify.results.outcome import (
     Unexplained,
 )
 from hydrojax.identify.results.report_json import report_json
+from hydrojax.identify.results.report_schema import report_schema
 from hydrojax.identify.results.summary import with_inputs
 from hydrojax.report import files, text
+from hydrojax.report.record import read_report
 
 NOISE = {"P_a1": 9e3, "P_a2": 9e3, "F": 2.5}
 UNITS = {"P_a1": "Pa", "P_a2": "Pa", "F": "N"}
@@ -226,6 +229,8 @@ CONTRACT = {
     "notes": list,
     "seconds": dict,
     "criteria": dict,
+    "files": list,
+    "made": dict,
 }
 RECORDS = {
     "effects": {"name", "parameters", "p_value", "before", "after", "cannot_tell_from"},
@@ -280,7 +285,9 @@ def test_json_keeps_the_contract(written, name):
     text = (written / name / "report.json").read_text(encoding="utf-8")
     found = json.loads(text, parse_constant=refuse)
     assert {k: type(v) for k, v in found.items()} == CONTRACT
+    jsonschema.validate(found, report_schema())
     assert found["format"] == "hydrojax-report/1"
+    assert read_report(written / name).rig == found["rig"]
     assert set(found["logs"]) == {"fit", "validate", "test"}
     for key, wanted in RECORDS.items():
         for record in found[key]:
@@ -353,7 +360,7 @@ def test_page_says_what_the_outcome_says(written):
         "No other candidate accounts for the residual as well",
         "at the end of its range",
         "not identified",
-        "p < 10⁻³⁰⁰",
+        "p < 10⁻⁶",
         "12.40 × noise",
         "slow <b>.csv",
         "k_vp stands at the upper end of its range.",
@@ -378,6 +385,7 @@ def test_a_report_replaces_an_older_one_and_leaves_other_files(tmp_path):
         "report_error.png",
         "report_parameter.png",
         "report_residual.png",
+        "report_traces.png",
     }
     assert json.loads((folder / "report.json").read_text())["command"] == "identify"
     assert [p.name for p in folder.parent.iterdir()] == ["out"]

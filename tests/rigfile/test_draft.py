@@ -75,6 +75,18 @@ def test_columns_units_and_signs(log):
     np.testing.assert_allclose(read.signals["x"], 0.15 + X, atol=1e-9)
 
 
+def test_one_pressure_and_a_drive_force(tmp_path):
+    columns = a_log()
+    del columns["p_B"]
+    rig = RigFile.from_log(written(tmp_path / "one.csv", columns), **SIZES)
+    assert rig.layout.name == "single" and rig.channels["P_a2"].column == "p_A"
+    columns = {"t": T, "x_mm": 1e3 * X, "Antriebskraft_kN": V, "F_N": 900 * V}
+    rig = RigFile.from_log(written(tmp_path / "axis.csv", columns))
+    assert rig.layout.name == "driven-axis" and rig.supply == {}
+    assert rig.channels["P"].unit == "kN"
+    assert "beta" not in rig.parameters and "k_cp" in rig.parameters
+
+
 def test_a_force_that_pulls_is_turned(tmp_path):
     columns = a_log()
     columns["Kraft"] = -columns["Kraft"]

@@ -356,9 +356,11 @@ def test_the_ensemble_and_what_95_percent_reach(setting, known):
 
 def test_a_report_s_ensemble(setting, tmp_path):
     report = {
+        "format": "hydrojax-report/1",
         "parameters": {
-            "beta": {"value": 8e8, "std": 8e6}, "k_cp": {"value": 1e3, "std": 50.0},
-            "z_ss": {"value": 6e-5, "std": None},
+            "beta": {"value": 8e8, "std": 8e6, "unit": "Pa"},
+            "k_cp": {"value": 1e3, "std": 50.0, "unit": "N"},
+            "z_ss": {"value": 6e-5, "std": None, "unit": "m"},
         },
         "effects": [],
     }  # fmt: skip
@@ -385,8 +387,12 @@ def test_plants_of_a_covariance_keep_every_scale(setting, tmp_path):
     value = {"beta": 8.5e8, "c_p1": 2.24e-9, "z_ss": 6e-5}
     both = np.diag([s**2 for s in std.values()])
     both[0, 1] = both[1, 0] = 0.5 * std["beta"] * std["c_p1"]
+    units = {"beta": "Pa", "c_p1": "m^3/(s*V*Pa^0.5)", "z_ss": "m"}
     report = {
-        "parameters": {n: {"value": value[n], "std": std[n]} for n in std},
+        "format": "hydrojax-report/1",
+        "parameters": {
+            n: {"value": value[n], "std": std[n], "unit": units[n]} for n in std
+        },
         "effects": [],
         "covariance": {"names": list(std), "matrix": both.tolist()},
     }

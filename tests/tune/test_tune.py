@@ -370,10 +370,13 @@ def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
     leak = '[effects.internal_leakage]\nc_il = "2e-12 m^3/(s*Pa)"\n\n[controller]'
     (folder / "rig.toml").write_text(text.replace("[controller]", leak))
     content = {
+        "format": "hydrojax-report/1",
         "parameters": {"beta": {"value": 8.3e8, "std": 8e6, "unit": "Pa"}},
         "effects": [{
             "name": "internal_leakage",
-            "parameters": {"c_il": {"value": 2e-12, "std": 1e-14}},
+            "parameters": {
+                "c_il": {"value": 2e-12, "std": 1e-14, "unit": "m^3/(s*Pa)"}
+            },
         }],
     }  # fmt: skip
     (folder / "report.json").write_text(json.dumps(content))
@@ -444,12 +447,13 @@ def test_what_the_file_does_not_say_is_assumed():
 def test_a_trace_s_ensemble_is_as_wide_as_its_residual(tmp_path):
     """A covariance of next to nothing, and 8 % of F left by the validation."""
     report = {
+        "format": "hydrojax-report/1",
         "parameters": {"beta": {"value": 8.3e8, "std": 1e3, "unit": "Pa"}},
         "effects": [],
         "candidates": [{"name": "valve_lag", "status": "absent"}],
         "channels": {
-            "F": {"after": 9.0, "validate": {"after": 8.0, "held": 100.0}},
-            "P_a1": {"after": 1e4, "held": 1e6},
+            "F": {"unit": "N", "after": 9.0, "validate": {"after": 8.0, "held": 100.0}},
+            "P_a1": {"unit": "Pa", "after": 1e4, "held": 1e6},
         },
     }
     (tmp_path / "report.json").write_text(json.dumps(report))

@@ -98,7 +98,8 @@ def areas(log: Read) -> tuple[float, float]:
         return 1.0, 1.0
     bore, rod = log.sizes.bore or 0.0, log.sizes.rod or 0.0
     full, ring = math.pi / 4 * bore**2, math.pi / 4 * (bore**2 - rod**2)
-    return (ring, full) if log.layout == "differential" else (ring, ring)
+    kinds = {"differential": (ring, full), "single": (full, full)}
+    return kinds.get(log.layout, (ring, ring))
 
 
 def ranges(log: Read) -> dict[str, tuple[float, float, float]]:

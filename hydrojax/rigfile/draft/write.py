@@ -56,6 +56,8 @@ def read_log(
         layout = "single" if one else "differential" if sizes.rod != 0 else "pull-pull"
         if not {"P_a1", "P_a2", "u"} & set(signals) and "P" in signals:
             layout = "driven-axis"
+    if layout == "single" and "P_a2" not in signals and "P_a1" in signals:
+        signals["P_a2"] = signals.pop("P_a1")  # the chamber that is under pressure
     labels = {g.column.label for g in signals.values()}
     for other in paths[1:]:
         lost = labels - {c.label for c in read_table(Path(other)).columns}
@@ -148,6 +150,8 @@ def _geometry(log: Read) -> Iterator[str]:
     if layout == "differential":
         yield _line("area_1", area_1, "rod side; chamber 1 shrinks as x grows")
         yield _line("area_2", area_2, "bore side; pushes toward positive x")
+    elif layout == "single":
+        yield _line("area", area_1, "CHECK: of the chamber under pressure; the bore's")
     elif layout != "driven-axis":
         yield _line("area", area_1, "of each chamber, without the rod")
     if sizes.stroke is not None:
@@ -168,6 +172,8 @@ def _geometry(log: Read) -> Iterator[str]:
 def _supply(log: Read) -> Iterator[str]:
     """The section [supply]."""
     signals, sizes = log.signals, log.sizes
+    if not LAYOUTS[log.layout].has_valve:
+        return
     yield from (
         "",
         "[supply]                       # where the log has no such channel",

@@ -17,10 +17,18 @@ from hydrojax.jax_setup import cores
 from hydrojax.workflows.fleet.local import TRIES, environment
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 AHEAD = 2
 """Tasks per worker's thread that the scheduler knows of at a time."""
+
+MOST = 1024
+"""Workers on this machine, at most."""
+
+_NO_PAGES = {
+    f"distributed.{who}.http.routes": [] for who in ("scheduler", "worker", "nanny")
+}
+"""Nothing is served over HTTP."""
 
 T = TypeVar("T")
 
@@ -42,25 +50,15 @@ def client(address: str) -> Iterator[Client]:
             "'hydrojax[cluster]'"
         ) from error
     kind, _, count = address.partition(":")
-    with config.set({"distributed.scheduler.allowed-failures": TRIES}):
+    settings = {"distributed.scheduler.allowed-failures": TRIES, **_NO_PAGES}
+    with config.set(settings):
         if kind == "local":
-            if not count.isdecimal() or not int(count):
+            if not count.isdecimal() or not 0 < int(count[:9]) <= MOST:
                 raise InputError(
-                    f"--cluster {address}: write local:N with N workers, such as "
-                    "local:2"
+                    f"--cluster {address}: write local:N with 1 to {MOST} workers, "
+                    "such as local:2"
                 )
-            each: dict[str, Any] = {
-                "threads_per_worker": 1,
-                "processes": True,
-                "dashboard_address": None,
-                "memory_limit": 0,
-                "silence_logs": 50,
-                "env": environment(max(1, cores() // int(count))),
-            }
-            with (
-                distributed.LocalCluster(n_workers=int(count), **each) as here,
-                distributed.Client(here) as found,
-            ):
+            with _local(int(count)) as here, distributed.Client(here) as found:
                 yield found
             return
         try:
@@ -77,6 +75,37 @@ def client(address: str) -> Iterator[Client]:
                     f"dask worker {address}"
                 )
             yield found
+
+
+def _local(workers: int) -> LocalCluster:
+    """Workers on this machine that nobody but this process can talk to.
+
+    A scheduler runs whatever it is sent: without a key any user of the machine could
+    run code as its owner.
+
+    Raises:
+        InputError: there is nothing to make keys with.
+    """
+    import distributed
+
+    try:
+        security = distributed.Security.temporary()  # a key for this run, in memory
+    except ImportError as error:
+        raise InputError(
+            "--cluster: cryptography is not installed: pip install 'hydrojax[cluster]'"
+        ) from error
+    return distributed.LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        processes=True,
+        security=security,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",  # None would open 8787
+        scheduler_kwargs={"dashboard": False},
+        memory_limit=0,
+        silence_logs=50,
+        env=environment(max(1, cores() // workers)),
+    )
 
 
 def share_out(

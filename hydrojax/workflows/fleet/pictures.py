@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from hydrojax.identify.report.figures import ABOVE, AFTER, BAND, STYLE, sheet
-from hydrojax.report.text import engineering, raised, symbol, words
+from hydrojax.report.text import engineering, in_picture, raised, symbol, words
 from hydrojax.workflows.fleet.friction import FleetBounds
 from hydrojax.workflows.fleet.merged import FEW, Fleet, label
 from hydrojax.workflows.fleet.summary import FAR, Found, robust_z
@@ -46,7 +46,7 @@ def label_figure(fleet: Fleet, name: str = "") -> Figure | None:
             ax.set_visible(False)
         for ax in (panels[len(drawn) - 2], panels[len(drawn) - 1]):
             ax.tick_params(labelbottom=True)
-        figure.supxlabel(name or ROW_NUMBER, fontsize=9)
+        figure.supxlabel(in_picture(name) or ROW_NUMBER, fontsize=9)
         return figure
 
 
@@ -70,7 +70,11 @@ def _panel(ax: Axes, fleet: Fleet, parameter: str, at: pd.Series) -> None:
     std = np.nan_to_num(own["std"].to_numpy(float))
     _fits(ax, x, values / factor, std / factor, ends / factor)
     if ticks is not None:
-        ax.set_xticks(range(len(ticks)), ticks, rotation=30 if len(ticks) > 5 else 0)
+        ax.set_xticks(
+            range(len(ticks)),
+            list(map(in_picture, ticks)),
+            rotation=30 if len(ticks) > 5 else 0,
+        )
         ax.set_xlim(-0.6, len(ticks) - 0.4)
     elif at.dtype.kind == "M":
         locator = AutoDateLocator(maxticks=6)

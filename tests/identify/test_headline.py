@@ -1,0 +1,77 @@
+"""What stands first in a report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydrojax.identify.report.headline import grade, headline, loop_verdict
+from hydrojax.identify.report.traces import SECONDS, stretch
+from hydrojax.identify.results.outcome import Horizon, LoopCheck
+from tests.identify.test_report import OUTCOMES, explained
+
+
+def test_one_line_says_what_was_found():
+    assert headline(explained()) == (
+        "Internal leakage and position friction were missing: with them, the error of "
+        "F falls from 31 N to 2.6 N, its noise."
+    )
+    one = replace(explained(), effects=explained().effects[:1])
+    assert headline(one).startswith("Internal leakage was missing: with it, the error")
+    for make in OUTCOMES.values():
+        assert len(headline(make())) <= 150  # two lines
+    unknown = OUTCOMES["unknown"]()
+    assert headline(unknown) == (
+        "F is not explained by any known effect: 55 N RMS, 22 times its noise."
+    )
+    found = replace(unknown, effects=explained().effects[:1])
+    assert headline(found).startswith("Internal leakage was found, but F stays at 55 N")
+
+
+def test_a_model_without_skill_says_so():
+    unknown = OUTCOMES["unknown"]()
+    poor = replace(unknown.channels["F"], horizons={"0.25": Horizon(60, 55, 50, None)})
+    channels = {**unknown.channels, "F": poor}
+    said = headline(replace(unknown, channels=channels))
+    assert said == "The model predicts F no better than a held value: 55 N RMS."
+
+
+def test_the_grade_is_the_share_of_the_excess():
+    """By hand: squares over the noise, less one, before and after."""
+    before = [41e3 / 9e3, 43.2e3 / 9e3, 31 / 2.5]
+    after = [9.27e3 / 9e3, 9.18e3 / 9e3, 2.6 / 2.5]
+    channels = explained().channels
+    assert [c.before / c.noise for c in channels.values()] == pytest.approx(
+        before, 0.02
+    )
+    excess = [sum(r**2 - 1 for r in ratios) for ratios in (before, after)]
+    share = 100 * (1 - excess[1] / excess[0])
+    assert grade(explained()).startswith(f"{share:.3g} %")
+    assert grade(OUTCOMES["unknown"]()) == ""
+
+
+@pytest.mark.parametrize(
+    ("rms", "simulated", "words"),
+    [
+        (20.0, 75.0, "agrees: rig and controller"),
+        (76.6, 10.0, "does not agree: the simulated loop tracks better"),
+        (60.0, 90.0, "does not agree: the controller that ran"),
+        (np.nan, np.nan, "not compared"),
+    ],
+)
+def test_the_closed_loop_gets_a_verdict(rms, simulated, words):
+    t = np.arange(3.0)
+    check = LoopCheck("log", t, t, t, t, rms, 77.4, simulated, "")
+    assert loop_verdict(check).startswith(words)
+
+
+def test_the_stretch_is_where_the_error_is():
+    t = np.arange(0, 20, 1e-2)
+    error = np.where((t > 12) & (t < 13), 5.0, 0.1)
+    error[300:400] = np.nan
+    t = np.where(np.isnan(error), np.nan, t)
+    part = stretch(t, error)
+    assert t[part][0] <= 12.02 and t[part][-1] >= 12.98
+    assert t[part][-1] - t[part][0] <= SECONDS
