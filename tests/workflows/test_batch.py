@@ -34,7 +34,7 @@ from hydrojax.tune import api, sweep
 from hydrojax.workflows.fleet import friction, merged, summary, sweeps
 from hydrojax.workflows.fleet import run as running
 from hydrojax.workflows.fleet.jobs import read_jobs
-from hydrojax.workflows.fleet.local import Limits
+from hydrojax.workflows.fleet.local import JobLimits
 from hydrojax.workflows.fleet.report import controller_lines
 from hydrojax.workflows.fleet.run import Ran, Stopped, run_fleet
 from hydrojax.workflows.fleet.work import Options
@@ -262,7 +262,7 @@ def test_a_job_beyond_its_time_or_memory_fails_alone(tmp_path):
     logs[1]["seconds"] = 600.0
     logs[2]["holds"] = 1200 * 2**20
     table, out = fleet(tmp_path, logs), tmp_path / "out"
-    limits = Limits(seconds=8.0, memory=1000 * 2**20)
+    limits = JobLimits(seconds=8.0, memory=1000 * 2**20)
     assert pretended(table, out, limits=limits) == Ran(4, 4, 2, True)
     failed = pd.read_parquet(out / "fleet.parquet")["failed"].tolist()
     assert failed[1] == "took more than 8 s (--job-seconds)"
