@@ -262,10 +262,10 @@ def test_a_job_beyond_its_time_or_memory_fails_alone(tmp_path):
     logs[1]["seconds"] = 600.0
     logs[2]["holds"] = 1200 * 2**20
     table, out = fleet(tmp_path, logs), tmp_path / "out"
-    limits = JobLimits(seconds=8.0, memory=1000 * 2**20)
+    limits = JobLimits(seconds=20.0, memory=1000 * 2**20)
     assert pretended(table, out, limits=limits) == Ran(4, 4, 2, True)
     failed = pd.read_parquet(out / "fleet.parquet")["failed"].tolist()
-    assert failed[1] == "took more than 8 s (--job-seconds)"
+    assert failed[1] == "took more than 20 s (--job-seconds)"
     assert "GiB (--job-memory)" in failed[2]
     assert failed[0] is failed[3] is None
     assert calls(tmp_path) == [1, 1, 1, 1]  # no worker tries it again
