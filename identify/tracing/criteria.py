@@ -60,7 +60,7 @@ class Criteria:
     """Steps of these fits, count: they rank the starts and need not end. As
     `far_starts`."""
     balance_ticks: int = 8000
-    """Ticks whose flow balances are fitted where one looks for starts, count, in windows
+    """Ticks whose flow balances are fitted to look for starts, count: in windows
     spread over the logs: time against information."""
     outdone: float = 5.0
     """Times what the best start leaves of the balances from which another candidate is
