@@ -36,7 +36,10 @@ def main(data: str, *names: str) -> None:
     from hydrojax.identify.case import open_case
 
     folders = [f for f in sorted(Path(data).iterdir()) if (f / "rig.toml").exists()]
-    table = Table("rig", "verdict", "effects", "before / noise", "after / noise", "s")
+    table = Table(
+        "rig", "verdict", "effects", "before / noise", "after / noise",
+        "free run, skill", "s",
+    )  # fmt: skip
     console = Console(width=150)
     for folder in folders:
         if names and folder.name not in names:
@@ -59,6 +62,9 @@ def main(data: str, *names: str) -> None:
                 f"{n} {c.after / c.noise:.3f} ({c.after:.4g} {c.unit})"
                 for n, c in channels
             ),
+            "\n".join(
+                f"{n} {_free_run(c.horizons.get('free'), c.unit)}" for n, c in channels
+            ),
             f"{time.perf_counter() - began:.0f}",
         )
         if folder.name == "emps":
@@ -66,6 +72,13 @@ def main(data: str, *names: str) -> None:
     console.print(table)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     console.print(f"peak memory {peak:.2f} GiB")
+
+
+def _free_run(run, unit: str) -> str:
+    """Error and skill of the run through whole logs."""
+    if run is None or run.after is None:
+        return "-"
+    return f"{run.after:.4g} {unit}, {run.skill:.4f}"
 
 
 def _said(effect) -> str:

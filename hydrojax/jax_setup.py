@@ -7,6 +7,7 @@ import gc
 import os
 import sys
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 _OPTIONS = "--xla_backend_extra_options="
@@ -21,6 +22,10 @@ LOOPS = f"{_OPTIONS}xla_cpu_small_while_loop_byte_threshold=1000000000"
 per kernel and step. With fits' option beside it several outputs of a scan are copied
 whole at every step; alone, it makes the Jacobian of a fit slow to compile."""
 
+CACHED = 2 * 2**30
+"""Bytes of compiled programs that are kept on disk when a process starts: those of some
+thousand structures of rigs."""
+
 WIDE = "--xla_cpu_prefer_vector_width=512"
 """Beside `LOOPS`, on processors that have such vectors."""
 
@@ -32,7 +37,7 @@ def set_up_jax(cache: Path | None = None, work: str = FITS) -> bool:
     kind that stand in `XLA_FLAGS` already are left alone.
 
     Args:
-        cache: folder for compiled programs; None keeps none.
+        cache: folder for compiled programs, cut to `CACHED` first; None keeps none.
         work: `FITS` (identify, trace) or `LOOPS` (simulate, sweep, tune). Either is
             right for both, and slower for the other.
 
@@ -57,9 +62,38 @@ def set_up_jax(cache: Path | None = None, work: str = FITS) -> bool:
 
     jax.config.update("jax_enable_x64", True)
     if cache is not None:
+        trim(cache)
         jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
     return not late
+
+
+def trim(cache: Path, most: int = CACHED) -> None:
+    """Remove the programs that were used least recently from a folder beyond bounds.
+
+    JAX has a bound of its own (`jax_compilation_cache_max_size`), which takes a lock at
+    every program and fails for good once a process is killed between two of its writes.
+
+    Args:
+        cache: the folder.
+        most: bytes; of a folder that has more, three quarters of it stay.
+    """
+    found: list[tuple[float, int, str]] = []
+    with suppress(OSError), os.scandir(cache) as entries:
+        for entry in entries:
+            with suppress(OSError):
+                seen = entry.stat()
+                used = max(seen.st_atime, seen.st_mtime)
+                found.append((used, seen.st_size, entry.path))
+    whole = sum(size for _, size, _ in found)
+    if whole <= most:
+        return
+    for _, size, path in sorted(found):
+        with suppress(OSError):  # another process trims too
+            os.unlink(path)
+            whole -= size
+        if whole <= 0.75 * most:
+            return
 
 
 def _running() -> bool:
@@ -177,6 +211,6 @@ def set_up_unless_running() -> None:
     set_up_jax(cache)
     print(
         f"hydrojax: JAX is set to double precision; compiled programs are kept in "
-        f"{cache}",
+        f"{cache} (at most {CACHED >> 30} GiB)",
         file=sys.stderr,
     )

@@ -15,12 +15,15 @@ from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.check import check_inputs
+from hydrojax.identify.estimation.balance import balanced
 from hydrojax.identify.estimation.fit import (
     FitPoint,
     fit_force,
     fit_jointly,
     fit_pressures,
+    reweighted,
 )
+from hydrojax.identify.estimation.misfit import room_of
 from hydrojax.identify.estimation.problem import (
     COULOMB,
     Problem,
@@ -77,6 +80,9 @@ def _problems(
     problem = Problem.of(rig, free, case.fit, case.criteria)
     check = Problem.of(rig, free, case.check, case.criteria)
     use = in_play(problem, case.fit)
+    if len(check.batch.P_0) > len(problem.batch.P_0) // 3:
+        # One program for both: what it runs for nothing costs less than another.
+        check = replace(check, least=room_of(problem.batch))
     return replace(problem, free=known), check, use, effects
 
 
@@ -95,6 +101,7 @@ def _fit_base(
         values = best_start(problem, values, free, starts)
     progress("fit the declared model")
     if problem.sees_pressures and problem.side(free, True):
+        values = balanced(problem, values, free)
         problem, values = fit_pressures(problem, values, free)
     done, point = fit_force(problem, values, free)
     if not np.isfinite(done.batch.P_0).all():
@@ -137,6 +144,7 @@ def identify(
     progress("check the inputs")
     inputs = check_inputs(case.spec, case.read_logs).found
     state = fit_case(case, starts, progress)
+    state = _with_noise_found(case, state)
     found = _outcome(
         "identify", case, state, state.point, began, compiled, progress, profile
     )
@@ -178,9 +186,47 @@ def trace_case(
         replace(point, values=values),
         progress,
     )
-    state = search_effects(start)
+    state = _searched(case, search_effects(start))
     found = _outcome("trace", case, state, point, began, compiled, progress, profile)
     return with_inputs(found, inputs.result().found)
+
+
+def _searched(case: Case, state: Tracing) -> Tracing:
+    """The search gone on with the noise by the model that it found, if any channel
+    stands above that.
+    """
+    known = _with_noise_found(case, state)
+    if known is state:
+        return state
+    rms = known.check.rms(known.check.errors_at(known.point.values))
+    seen, limit = np.isfinite(known.noise), state.criteria.at_noise
+    above = rms > limit * known.noise
+    if np.any((above & (rms <= limit * state.noise))[seen]):
+        return search_effects(known)
+    return known
+
+
+def _with_noise_found(case: Case, state: Tracing) -> Tracing:
+    """The state with the channels' noise as the model that was found has it.
+
+    How far the position's noise moves a pressure depends on the model; one that lacked
+    an effect, or a rig file's first values, said it when the logs were made ready.
+    """
+    if case.noise_by is None:
+        return state
+    noise = case.noise_by(state.problem, state.point.values)
+    seen = np.isfinite(state.noise)
+    noise = np.where(seen & np.isfinite(noise), noise, state.noise)
+    if np.allclose(noise[seen], state.noise[seen], rtol=state.criteria.matters):
+        return state
+    problem, check = (
+        replace(p, batch=p.batch._replace(noise=noise))
+        for p in (state.problem, state.check)
+    )
+    rms = problem.rms(problem.errors_at(state.point.values))
+    weights = reweighted(noise, rms, state.criteria.reweighted_above)
+    problem, point = fit_jointly(problem, state.point.values, state.free, weights)
+    return replace(state, problem=problem, check=check, point=point)
 
 
 class _Compiling:

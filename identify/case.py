@@ -15,7 +15,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.identify.preparation.data import Data, driver, prepare_logs, runs_backward
 from hydrojax.identify.preparation.noise import channel_noise
-from hydrojax.identify.preparation.resolution import resolve
+from hydrojax.identify.preparation.resolution import NoiseBy, resolve
 from hydrojax.identify.preparation.segments import common_band
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import make_room
@@ -86,6 +86,8 @@ class Case:
         test: logs that take part in no decision, made ready, if there are any.
         test_logs: these logs.
         read_logs: the logs that are fitted, as they were read.
+        noise_by: the channels' noise by a model that was found, where the position's
+            own noise is counted into it; None where it is not.
     """
 
     spec: RigFile
@@ -98,6 +100,7 @@ class Case:
     test: Data | None = None
     test_logs: tuple[Log, ...] = ()
     read_logs: tuple[Log, ...] = ()
+    noise_by: NoiseBy | None = None
 
     @property
     def criteria(self) -> Criteria:
@@ -259,5 +262,5 @@ def _prepared(
     own = Preparation(spec, horizon, fit.noise, sign, band, criteria, found.smoothed)
     return Case(
         spec, fit, check, fitted, others or fitted, bool(others), own,
-        own.data(tests) if tests else None, tests,
+        own.data(tests) if tests else None, tests, noise_by=found.noise_by,
     )  # fmt: skip

@@ -21,7 +21,7 @@ from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import PARTS
 from hydrojax.identify.estimation.columns import Batch, ParametricRig, basis, slot_names
 from hydrojax.identify.estimation.misfit import sums
-from hydrojax.identify.preparation.windows import LEAD, PRE, QUARTERS
+from hydrojax.identify.preparation.windows import PRE, QUARTERS
 from hydrojax.plant.load import EnvironmentMotion
 from hydrojax.plant.replay import Motion, Windows
 
@@ -29,8 +29,8 @@ FORCE_HZ = (0.1, 0.23, 0.5, 1.1, 2.3, 4.7, 9.0, 16.0, 27.0, 45.0)
 MOTION_HZ = (0.07, 0.13, 0.23, 0.41, 0.73, 1.3, 2.3)
 """Frequencies of the sines whose amplitudes are found."""
 
-WINDOW = 250
-"""Ticks of a replay window."""
+LEAD, WINDOW = 20, 250
+"""Ticks of a replay window that are run but not compared, and those that are."""
 
 SLACK = 0.05
 """Share of the supply's range, and of the command's, that is to stay unused."""
@@ -157,6 +157,7 @@ def log_batch(
         first=jnp.asarray(first),
         before=table[first[:, None] - PRE + np.arange(PRE), 0],
         before_h=setup.h * jnp.ones((len(first), PRE)),
+        P_before=table[first[:, None] - PRE + np.arange(PRE), 1:3],
         u=table[index, 0],
         h=setup.h * like,
         P_s=setup.P_s * like,

@@ -147,6 +147,7 @@ def make_drive(substeps: int = 1, jitter: float = 0.0, seed: int = 0) -> Drive:
         first=np.array([i for _, i in CUT]),
         before=np.stack([waves[s]["u"](t[s, ahead(s, at)]) for s, at in cuts]),
         before_h=np.stack([gaps[s, ahead(s, at)] for s, at in cuts]),
+        P_before=np.full((len(cuts), PRE, 2), 6e6),
         u=signal("u"),
         h=np.stack([gaps[s, at] for s, at in cuts]),
         P_s=signal("P_s"),

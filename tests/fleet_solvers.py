@@ -31,6 +31,9 @@ def pretend(job: Job, options: Options) -> dict[str, Any]:
         calls.write(f"{os.getpid()}\n")
     words = json.loads(log.read_text())
     time.sleep(words.get("seconds", 0.0))
+    if "holds" in words:
+        held = np.ones(words["holds"] // 8)
+        time.sleep(60 * held[0])
     if "bad" in words:
         raise InputError(f"{log}: {words['bad']}")
     if "fault" in words:

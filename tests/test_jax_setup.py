@@ -82,6 +82,18 @@ def cut(case: Path, folder: Path, rows: int) -> Case:
     return open_case(case / "rig.toml", logs, [folder / "validate.csv"])
 
 
+def test_programs_on_disk_are_bounded_the_last_used_stay(tmp_path):
+    for i in range(20):
+        (tmp_path / f"program_{i}-cache").write_bytes(b"x" * 1000)
+        os.utime(tmp_path / f"program_{i}-cache", (1e9 + i, 1e9 + i))
+    jax_setup.trim(tmp_path, 20_000)
+    assert len(list(tmp_path.iterdir())) == 20
+    jax_setup.trim(tmp_path, 10_000)
+    left = sorted(int(p.name[8:-6]) for p in tmp_path.iterdir())
+    assert left == list(range(13, 20))
+    jax_setup.trim(tmp_path / "none", 0)
+
+
 def test_windows_that_fill_up_change_nothing(recorded, tmp_path):
     case = cut(recorded(1), tmp_path / "short", 700)
     problem = api.fit_case(case, starts=1).problem

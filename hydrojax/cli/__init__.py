@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import io
+import os
+import signal
+import socket
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -79,21 +86,81 @@ _CLICK_ERROR: Any = typer.BadParameter.__mro__[2]
 Click itself, by its version."""
 
 
+GRACE = 3.0
+"""Seconds in which a command that is interrupted may end by itself."""
+
+
+@contextmanager
+def _interruptible() -> Iterator[list[int]]:
+    """Let SIGINT and SIGTERM end a command, whatever it is at; gives those that came.
+
+    An exception in a callback of compiled code is swallowed, and Python hears of no
+    signal while such code runs: a thread of its own hears of it, and ends the process
+    when its time is up. What is written is whole or not there at any moment.
+    """
+    came: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield came
+        return
+
+    def interrupt(number: int, _: object) -> NoReturn:
+        came.append(number)
+        raise KeyboardInterrupt
+
+    reader, writer = socket.socketpair()
+    writer.setblocking(False)
+
+    def watch() -> None:
+        number = reader.recv(1)
+        if number and not ended.wait(GRACE):
+            os._exit(128 + number[0])
+
+    ended = threading.Event()
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(s, interrupt) for s in signals]
+    wakened = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield came
+    finally:
+        ended.set()
+        signal.set_wakeup_fd(wakened)
+        for number, handler in zip(signals, before, strict=True):
+            signal.signal(number, handler)
+        writer.close()
+        thread.join()
+        reader.close()
+
+
 def main() -> None:
     """Run the command line: 0 when it did its work, 2 on bad input.
 
-    1 where `--fail-on` says so, or the user interrupts.
+    1 where `--fail-on` says so; 130 and 143 where a signal stops it.
     """
+    with _interruptible() as came:
+        _run(came)
+
+
+def _run(came: list[int]) -> NoReturn:
+    """Run the command line and leave."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names of files need not be text
+            stream.reconfigure(errors="backslashreplace")
     try:
         code = app(spread(sys.argv[1:]), prog_name="hydrojax", standalone_mode=False)
     except InputError as error:
         _refuse(error)
     except _CLICK_ERROR as error:
         _usage(error)
-    except typer.Abort:
-        sys.exit(1)
+    except (typer.Abort, KeyboardInterrupt):
+        code = 1
     except OSError as error:  # a disk that is full, a folder that went away
         _refuse(error)
+    except MemoryError:
+        _refuse(InputError("out of memory: give it less at a time"))
+    if came:
+        sys.exit(128 + came[0])
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -57,6 +57,12 @@ def batch(
     matters: Matters = 0.02,
     level: Level = 0.01,
     profile: Profile = False,
+    job_seconds: Annotated[
+        float, typer.Option(help="Time that one job may take, s.", min=1.0)
+    ] = 3600.0,
+    job_memory: Annotated[
+        float, typer.Option(help="Memory that one job may take, GiB.", min=0.1)
+    ] = 8.0,
     effects: Effects = None,
 ) -> None:
     """Identify or trace a fleet of logs; one table and one report over all of them.
@@ -69,6 +75,7 @@ def batch(
         raise InputError(f"invalid --command {command!r}: expected identify or trace")
     set_up_jax(user_cache())
     load_effects(effects)
+    from hydrojax.workflows.fleet.local import Limits
     from hydrojax.workflows.fleet.merged import named
     from hydrojax.workflows.fleet.run import Stopped, run_fleet
     from hydrojax.workflows.fleet.work import Options
@@ -79,7 +86,10 @@ def batch(
     )  # fmt: skip
     try:
         with counted(command) as progress:
-            ran = run_fleet(jobs, out, options, workers, cluster, progress)
+            ran = run_fleet(
+                jobs, out, options, workers, cluster, progress,
+                limits=Limits(job_seconds, int(job_memory * 2**30)),
+            )  # fmt: skip
     except Stopped as stop:
         errors.print(
             f"hydrojax: stopped: {stop}; give the same command again to go on",

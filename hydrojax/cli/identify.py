@@ -34,7 +34,9 @@ from hydrojax.cli.options import (
     load_effects,
     show_progress,
 )
+from hydrojax.errors import one_line
 from hydrojax.jax_setup import set_up_jax, user_cache
+from hydrojax.limits import TEXT
 
 if TYPE_CHECKING:
     from hydrojax.identify.result import Result
@@ -168,7 +170,8 @@ def _finish(
     result: Result, out: Path, json: bool, quiet: bool, failing: Collection[str]
 ) -> None:
     """Write the report and print its summary; leave with 1 on a failing verdict."""
-    result.save(out, shlex.join(["hydrojax", *sys.argv[1:]]))
+    command = one_line(shlex.join(["hydrojax", *sys.argv[1:]]), TEXT)
+    result.save(out, command)
     outcome = result.outcome
     if json:
         from hydrojax.identify.results.report_json import report_json

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -9,13 +10,17 @@ from hydrojax.parameters import param
 from hydrojax.plant.effect import (
     ComplianceEffect,
     FlowEffect,
-    OrificeEffect,
+    LineEffect,
     SupplyEffect,
     VolumeEffect,
 )
 
 P_0 = 101_325.0
 """Atmospheric pressure (Pa): the reference of entrained air."""
+
+
+SHUT = 1e-2
+"""Share by which a counterbalance valve that is shut still passes: what leaks."""
 
 
 class SupplyLineDrop(SupplyEffect):
@@ -39,15 +44,17 @@ class PressureCompensation(SupplyEffect):
     """A compensator ahead of the edges that draw on the supply: proportional valves.
 
     It takes what exceeds its margin: of a drop `d` over `dP_0` it leaves
-    `d^(1-s) dP_0^s`, an orifice at s = 0 and a flow set by the opening alone at s = 1.
-    Below the margin it stands open.
+    `d^(1-s) dP_0^s`: an orifice at s = 0, a flow set by the opening alone at s = 1, and
+    one that falls as the drop grows beyond that (overcompensated). Below the margin it
+    stands open. It holds the load, as its check valve does: where the supply stands
+    below the chamber it lets the share `1 - s` flow back.
     """
 
     name = "pressure_compensation"
     needs = ("u", "differential")
     residual_axis = "P_s"
     s: Float[Array, ""] = param(
-        "1", 0.0, 0.0, 1.0, "share of the drop", strength=True, size=0.1
+        "1", 0.0, 0.0, 1.3, "share of the drop", strength=True, size=0.1
     )
     dP_0: Float[Array, ""] = param(
         "Pa", 7e5, 1e5, 3e6, "margin", grid=(4e5, 1e6), prior=5e5
@@ -58,27 +65,31 @@ class PressureCompensation(SupplyEffect):
     ) -> Float[Array, "*batch"]:
         """Pressure taken of `available`, Pa; whatever the `conductance` is."""
         over = jnp.maximum(available / self.dP_0, 1.0)
-        return available * -jnp.expm1(-self.s * jnp.log(over))
+        taken = -jnp.expm1(-self.s * jnp.log(over))
+        return available * jnp.where(available < 0, jnp.minimum(self.s, 1.0), taken)
 
 
-class Counterbalance(OrificeEffect):
+class Counterbalance(LineEffect):
     """Over-centre valve in the line of each chamber: throttles what leaves it.
 
-    It opens with the chamber's pressure and, `ratio` times, with the other line's:
-    by `(P_i + ratio P_j - P_set) / dP_full` of its full opening. `s_i` is the share of
-    the outflow that it governs, 1 where chamber i has one. What comes from the supply
-    is free. The line's own volume and the valve's lag are left out.
+    It opens with the chamber's pressure and, `ratio` times, with the other line's: to
+    the share `s = (P_i + ratio P_j - P_set) / dP_full`, which it reaches with the lag
+    `tau`. It stands in series with the metering edge: outflow Q loses `k_i Q^2 / s^2`
+    in it, none at `k_i = 0` (no valve in the line of chamber i). What comes from the
+    supply is free. The line's own volume is left out.
     """
 
     name = "counterbalance"
     needs = ("u", "differential")
     residual_axis = "P_a1 + P_a2"
-    s_1: Float[Array, ""] = param(
-        "1", 0.0, 0.0, 1.0, "share, chamber 1", strength=True, size=0.1
-    )
-    s_2: Float[Array, ""] = param(
-        "1", 0.0, 0.0, 1.0, "share, chamber 2", strength=True, size=0.1
-    )
+    k_1: Float[Array, ""] = param(
+        "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss when open, chamber 1", strength=True,
+        size=2e13, grid=(3e10, 3e11, 3e12, 3e15),
+    )  # fmt: skip
+    k_2: Float[Array, ""] = param(
+        "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss when open, chamber 2", strength=True,
+        size=2e13, grid=(3e10, 3e11, 3e12, 3e15),
+    )  # fmt: skip
     P_set: Float[Array, ""] = param(
         "Pa", 1.5e7, 2e6, 4e7, "setting", grid=(8e6, 1.5e7, 2.5e7)
     )
@@ -86,13 +97,31 @@ class Counterbalance(OrificeEffect):
     dP_full: Float[Array, ""] = param(
         "Pa", 1.5e7, 5e5, 6e7, "pressure from shut to open", prior=1e7
     )
+    tau: Float[Array, ""] = param("s", 0.05, 1e-3, 0.5, "lag of the poppet", prior=0.1)
 
-    def outlet(self, at):
-        def passes(s, own, pilot):
-            over = (own + self.ratio * pilot - self.P_set) / self.dP_full
-            return 1 - s * (1 - jnp.clip(over, 0.0, 1.0))
+    def _opens(self, own, pilot):
+        share = (own + self.ratio * pilot - self.P_set) / self.dP_full
+        return jnp.clip(share, SHUT, 1.0)
 
-        return passes(self.s_1, at.P_a1, at.P_a2), passes(self.s_2, at.P_a2, at.P_a1)
+    def init(self, P_1, P_2):
+        shares = self._opens(P_1, P_2), self._opens(P_2, P_1)
+        return shares, shares
+
+    def step(self, memory, P_1, P_2, h):
+        """Shares at the tick's end, and their means over the tick."""
+        goals, _ = self.init(P_1, P_2)
+        off = [s - goal for s, goal in zip(memory[0], goals, strict=True)]
+        fade = jnp.exp(-h / self.tau)
+        mean = (1 - fade) * self.tau / h
+        ends = tuple(goal + fade * o for goal, o in zip(goals, off, strict=True))
+        return ends, tuple(g + mean * o for g, o in zip(goals, off, strict=True))
+
+    def outlet(self, memory, out_1, out_2):
+        def passes(k, share, out):
+            return out * jax.lax.rsqrt(1 + k * (out / share) ** 2)
+
+        share_1, share_2 = memory[1]
+        return passes(self.k_1, share_1, out_1), passes(self.k_2, share_2, out_2)
 
 
 class InternalLeakage(FlowEffect):

@@ -37,7 +37,8 @@ class Point(NamedTuple):
 
     `opening` is `(spool,)` where the spool stays on one side, or the means over the
     tick of its opening toward either side, both >= 0: a spool that crosses zero inside
-    a tick opens both.
+    a tick opens both. `line` is the memory of what stands in the lines, as
+    `Rig.line_step` gives it.
     """
 
     P_a1: Float[Array, "*batch"]
@@ -47,6 +48,7 @@ class Point(NamedTuple):
     opening: tuple[Float[Array, "*batch"], ...]
     x: Float[Array, "*batch"]
     v: Float[Array, "*batch"]
+    line: tuple = ()
 
 
 class Chambers(eqx.Module):

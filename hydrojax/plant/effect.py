@@ -6,7 +6,7 @@ decides what it must compute; `hydrojax.plant.places` lists the places.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -76,8 +76,8 @@ class OrificeEffect(Effect):
     """Changes the valve's four edges: how far they open, how laminar they are.
 
     `opening(spool) -> (open_p, open_n)` is added to the openings toward either side,
-    `core() -> Pa^2` to the square of the laminar core; `outlet(at)` multiplies what the
-    edges to the return let out of chambers 1 and 2.
+    `core() -> Pa^2` to the square of the laminar core; `outlet(out_1, out_2)` are the
+    conductances from chambers 1 and 2 to the return in place of the edges' own.
     """
 
     place = "orifice"
@@ -94,10 +94,66 @@ class OrificeEffect(Effect):
         return 0.0
 
     def outlet(
-        self, at: Point
-    ) -> tuple[Float[Array, "*batch"] | float, Float[Array, "*batch"] | float]:
-        """Shares of the outflow that are let out of chambers 1 and 2."""
-        return 1.0, 1.0
+        self, out_1: Float[Array, "*batch"], out_2: Float[Array, "*batch"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Conductances from chambers 1 and 2 to the return, m^3/(s Pa^0.5)."""
+        return out_1, out_2
+
+
+class LineEffect(Effect):
+    """A valve of its own in the lines between the metering edges and the chambers.
+
+    `init(P_1, P_2)` is its memory after a long rest at these pressures,
+    `step(memory, P_1, P_2, h)` that over a tick of length `h` that begins at them, and
+    `outlet(memory, out_1, out_2)` gives the conductances from chambers 1 and 2 to the
+    return in place of the edges' own.
+    """
+
+    place = "line"
+    needs = ("u",)
+
+    def init(self, P_1: Float[Array, "*batch"], P_2: Float[Array, "*batch"]) -> Any:
+        """Memory after a long rest at these pressures, Pa."""
+        return ()
+
+    def step(
+        self,
+        memory,
+        P_1: Float[Array, "*batch"],
+        P_2: Float[Array, "*batch"],
+        h: Float[Array, "*batch"],
+    ):
+        """Memory over a tick of length `h` (s) that begins at these pressures, Pa."""
+        return memory
+
+    def outlet(
+        self, memory, out_1: Float[Array, "*batch"], out_2: Float[Array, "*batch"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Conductances from chambers 1 and 2 to the return, m^3/(s Pa^0.5)."""
+        raise NotImplementedError
+
+
+class InLine(NamedTuple):
+    """What stands in the lines over one tick, as a valve is handed it: an effect of its
+    edges.
+    """
+
+    effect: LineEffect
+    memory: Any
+
+    def opening(self, spool: Float[Array, "*batch"]) -> tuple[float, float]:
+        """Nothing is added to the openings."""
+        return 0.0, 0.0
+
+    def core(self) -> float:
+        """Nothing is added to the laminar core."""
+        return 0.0
+
+    def outlet(
+        self, out_1: Float[Array, "*batch"], out_2: Float[Array, "*batch"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Conductances from chambers 1 and 2 to the return, m^3/(s Pa^0.5)."""
+        return self.effect.outlet(self.memory, out_1, out_2)
 
 
 class SupplyEffect(Effect):

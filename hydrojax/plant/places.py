@@ -18,6 +18,7 @@ from hydrojax.plant.effect import (
     ForceEffect,
     FrictionForce,
     LevelEffect,
+    LineEffect,
     OrificeEffect,
     SensorChannel,
     SpeedEffect,
@@ -58,7 +59,7 @@ class Place:
 
 
 # Numbers, since an array here would start JAX on import.
-_AT = Point._make((5e6, 6.5e6, 14e6, 0.25e6, (0.4, 0.1), 0.02, 0.01))
+_AT = Point._make((5e6, 6.5e6, 14e6, 0.25e6, (0.4, 0.1), 0.02, 0.01, ()))
 _SLIDING = Sliding._make(
     (7.0, 0.02, 0.004, 0.6, 5e-5, -2e-3, 3e-3, 5e6, 6.5e6, 14e6, 0.0, 5.75e6)
 )
@@ -70,6 +71,7 @@ PLACES: Mapping[str, Place] = MappingProxyType(
             Place("command", CommandChannel, "step", hydraulic=True),
             Place("orifice", OrificeEffect, None, hydraulic=True),
             Place("supply", SupplyEffect, "drop", (3e-9, 9e6), hydraulic=True),
+            Place("line", LineEffect, "outlet", hydraulic=True),
             Place("flow", FlowEffect, "flow", (_AT,), hydraulic=True),
             Place("volume", VolumeEffect, "volume", (), hydraulic=True),
             Place("compliance", ComplianceEffect, "compliance", (3e6,), hydraulic=True),

@@ -10,6 +10,7 @@ log gives the same signals.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -47,7 +48,8 @@ class Windows(NamedTuple):
     """W windows of `lead + T` ticks, cut from S segments; SI.
 
     The first `lead` ticks let memories settle and are not compared. `before` [W, pre]
-    is the command that precedes, `before_h` its tick lengths. `u`, `h`, `P_s`, `P_r`,
+    is the command that precedes, `before_h` its tick lengths, `P_before` [W, pre, 2]
+    the pressures then. `u`, `h`, `P_s`, `P_r`,
     `t`, `x`, `v`, `a`, `F`, `P_a1`, `P_a2` are [W, lead+T], at the ticks; `h` is the
     tick that follows, `F` that of `Motion`. `x_fine` is [W, lead+T-1, 2n+1], `measured`
     [W, T, 3] (P_a1, P_a2, F), `seg` and `first` say where each window lies in its
@@ -58,6 +60,7 @@ class Windows(NamedTuple):
     first: Int[Array, "windows"]
     before: Float[Array, "windows pre"]
     before_h: Float[Array, "windows pre"]
+    P_before: Float[Array, "windows pre 2"]
     u: Float[Array, "windows n"]
     h: Float[Array, "windows n"]
     P_s: Float[Array, "windows n"]
@@ -196,24 +199,32 @@ def _through(
     return memory, mean_opening(us)
 
 
-def pressures(
-    rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
-) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
-    """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa."""
+def openings(rig: Rig, w: Windows) -> tuple[Float[Array, "ticks windows"], ...]:
+    """The spool's opening over each tick of the windows, as `Point` has it."""
     rig, ahead, goals = _commands(rig, w)
 
     def warm(memory, held):
         return _through(rig, memory, *held)[0], None
 
-    def advance(carry, at):
-        memory, P = carry
-        goal, inputs = at
-        memory, opening = _through(rig, memory, goal, inputs.h)
-        P = pressure_step(rig, P, opening, inputs)
-        return (memory, P), (refilled(P[0]), refilled(P[1]))
-
     memory = rig.command_init(ahead[0][0][..., 0])
     memory, _ = jax.lax.scan(warm, memory, ahead)
+    return jax.lax.scan(
+        lambda memory, at: _through(rig, memory, *at),
+        memory,
+        (goals, w.h[:, :-1].T),
+    )[1]
+
+
+def pressures(
+    rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
+) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
+    """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa."""
+
+    def advance(carry, at):
+        (line, P), (opening, inputs) = carry, at
+        line = rig.line_step(line, refilled(P[0]), refilled(P[1]), inputs.h)
+        P = pressure_step(rig, P, opening, inputs, line)
+        return (line, P), (refilled(P[0]), refilled(P[1]))
 
     def ends(p):
         return jnp.stack([p[:, :-1], p[:, 1:]], axis=-1)
@@ -231,12 +242,30 @@ def pressures(
         F=ends(w.F) if rig.stretch else None,
     )
     inputs = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), inputs)
-    start = (P_0[:, 0], P_0[:, 1])
-    _, (P_a1, P_a2) = jax.lax.scan(advance, (memory, start), (goals, inputs))
+    P = (P_0[:, 0], P_0[:, 1])
+    start = (lines_before(rig, w), P)
+    _, (P_a1, P_a2) = jax.lax.scan(advance, start, (openings(rig, w), inputs))
     return (
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),
     )
+
+
+def follow_lines(rig: Rig) -> Callable:
+    """What stands in the lines over ticks (P_1, P_2, h), for a scan."""
+
+    def follow(memory, tick):
+        memory = rig.line_step(memory, *tick)
+        return memory, memory
+
+    return follow
+
+
+def lines_before(rig: Rig, w: Windows) -> tuple:
+    """What stands in the lines where the windows begin, by the measured pressures."""
+    P_1, P_2 = jnp.moveaxis(w.P_before, (2, 1), (0, 1))
+    start = rig.line_init(P_1[0], P_2[0])
+    return jax.lax.scan(follow_lines(rig), start, (P_1, P_2, w.before_h.T))[0]
 
 
 def _sense(

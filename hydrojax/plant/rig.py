@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Chambers, Point, refilled
-from hydrojax.plant.effect import Effect
+from hydrojax.plant.effect import Effect, InLine
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import Layout
 from hydrojax.plant.places import PLACES
@@ -40,6 +40,7 @@ class Rig(eqx.Module):
     command: tuple = ()
     orifice: tuple = ()
     supply: tuple = ()
+    line: tuple = ()
     flow: tuple = ()
     volume: tuple = ()
     compliance: tuple = ()
@@ -109,6 +110,25 @@ class Rig(eqx.Module):
         memory, spools = self.command_parts(memory, u, h, parts)
         return memory, [(spool,) for spool in spools]
 
+    def line_init(
+        self, P_1: Float[Array, "*batch"], P_2: Float[Array, "*batch"]
+    ) -> tuple:
+        """Memory of what stands in the lines, at rest at these pressures (Pa)."""
+        return tuple(effect.init(P_1, P_2) for effect in self.line)
+
+    def line_step(
+        self,
+        memory: tuple,
+        P_1: Float[Array, "*batch"],
+        P_2: Float[Array, "*batch"],
+        h: Float[Array, "*batch"],
+    ) -> tuple:
+        """That memory over a tick of length `h` (s) that begins at these pressures."""
+        return tuple(
+            effect.step(m, P_1, P_2, h)
+            for effect, m in zip(self.line, memory, strict=True)
+        )
+
     def pressure_rates(
         self, at: Point
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
@@ -117,7 +137,8 @@ class Rig(eqx.Module):
         Below `P_VAPOUR` they are those of the volume that a chamber lacks.
         """
         full = at._replace(P_a1=refilled(at.P_a1), P_a2=refilled(at.P_a2))
-        q_1, q_2 = self.valve.flows(full, self.supply, self.orifice)
+        lines = (InLine(e, m) for e, m in zip(self.line, at.line, strict=True))
+        q_1, q_2 = self.valve.flows(full, self.supply, (*self.orifice, *lines))
         for effect in self.flow:
             e_1, e_2 = effect.flow(full)
             q_1, q_2 = q_1 + e_1, q_2 + e_2

@@ -44,7 +44,7 @@ class State(NamedTuple):
     film's speed stand behind it on a last axis. `lacking` says by how much, in Pa and
     <= 0, each chamber is short of being full; its pressure is then `P_VAPOUR`. `rod`
     holds the force that stretches, where one does; `motion` what the load remembers of
-    where the piston stands.
+    where the piston stands, `line` what stands in the chambers' lines.
     """
 
     command: tuple
@@ -56,3 +56,4 @@ class State(NamedTuple):
     rod: tuple = ()
     motion: Any = ()
     lacking: tuple = (0.0, 0.0)
+    line: tuple = ()

@@ -69,6 +69,7 @@ def start(
         rod=(still,) if rig.stretch else (),
         motion=motion,
         lacking=(rest, rest),
+        line=rig.line_init(*P),
     )
     paths = {"P_a1": (rig.gauge(0), P[0]), "P_a2": (rig.gauge(1), P[1])}
     paths["F"] = (rig.sensor_F, F)
@@ -122,6 +123,7 @@ def act(
     inputs: StepInput,
 ) -> State:
     """Pressures, bristle and filtered speed after a tick under `opening`."""
+    state = state._replace(line=rig.line_step(state.line, *state.P, inputs.h))
     if rig.stretch and inputs.F is None:
         F = _stretching_force(rig, state, opening, inputs)
         inputs = inputs._replace(F=jnp.stack([state.rod[0], F], axis=-1))
@@ -140,7 +142,7 @@ def _pressures(
     if inputs.P is not None:
         return 0 * inputs.P, inputs.P / rig.force_area_2
     P = (state.P[0] + state.lacking[0], state.P[1] + state.lacking[1])
-    return pressure_step(rig, P, opening, inputs)
+    return pressure_step(rig, P, opening, inputs, state.line)
 
 
 def _with_pressures(state: State, P: tuple[Array, Array], inputs: StepInput) -> State:
@@ -156,14 +158,16 @@ def _pressure_rates_per_speed(
     P: tuple[Array, Array],
     opening: tuple[Array, ...],
     inputs: StepInput,
+    line: tuple,
 ) -> tuple[Array, Array]:
     """By how much the pressures rise when the piston moves on, Pa/m."""
     if inputs.P is not None:
         return jnp.zeros_like(P[0]), jnp.zeros_like(P[1])
 
     def rates(v: Array) -> tuple[Array, Array]:
+        x = inputs.x[..., -1]
         ends = (inputs.P_s[..., 1], inputs.P_r[..., 1])
-        return rig.pressure_rates(Point(*P, *ends, opening, inputs.x[..., -1], v))
+        return rig.pressure_rates(Point(*P, *ends, opening, x, v, line))
 
     still, moving = rates(jnp.zeros_like(P[0])), rates(jnp.ones_like(P[0]))
     return moving[0] - still[0], moving[1] - still[1]
@@ -181,7 +185,7 @@ def _stretching_force(
     F_0 = state.rod[0]
     held = inputs._replace(F=jnp.stack([F_0, F_0], axis=-1))
     P = _pressures(rig, state, opening, held)
-    per_metre = _pressure_rates_per_speed(rig, P, opening, inputs)
+    per_metre = _pressure_rates_per_speed(rig, P, opening, inputs, state.line)
     begun = (state, inputs, P, per_metre)
 
     def follows(F, rig, begun):

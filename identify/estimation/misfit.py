@@ -188,14 +188,25 @@ def batch_of(data: Data) -> Batch:
     return Batch(motion, windows, data.P_0, data.noise, supply_noise, weight)
 
 
-def filled(batch: Batch) -> Batch:
+Room = tuple[int, int, int]
+"""Windows, segments, and ticks of a segment."""
+
+
+def room_of(batch: Batch) -> Room:
+    """What the programs of a batch have room for."""
+    segments, ticks = batch.motion.h.shape
+    return bucket(len(batch.P_0)), bucket(segments, 1), bucket(ticks + 1)
+
+
+def filled(batch: Batch, least: Room = (0, 0, 0)) -> Batch:
     """The batch with copies of its last window that weigh nothing, and standstill after
-    its motion: logs of other lengths then find their programs compiled.
+    its motion: logs of other lengths then find their programs compiled. To the size
+    `least`, or larger.
     """
-    windows = bucket(len(batch.P_0))
+    windows, *room = map(max, room_of(batch), least)
     which = np.minimum(np.arange(windows), len(batch.P_0) - 1)
     segments, ticks = batch.motion.h.shape
-    more = (bucket(segments, 1) - segments, bucket(ticks + 1) - ticks - 1)
+    more = (room[0] - segments, room[1] - ticks - 1)
 
     def longer(a):
         return np.pad(a, [*zip((0, 0, 0), (*more, 0), strict=True)][: a.ndim], "edge")

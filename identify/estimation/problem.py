@@ -20,6 +20,8 @@ from hydrojax.identify.estimation.columns import (
 from hydrojax.identify.estimation.coupled import agreed, stretched
 from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.estimation.misfit import (
+    START_SPREAD,
+    Room,
     Sums,
     batch_of,
     filled,
@@ -81,7 +83,8 @@ class Problem:
 
     `symmetric` holds k_cp and k_cn equal, for logs that do not distinguish a difference
     of the two from an offset k_0. `known` is what other logs give, in place of priors;
-    `criteria` the thresholds of whatever is decided on it.
+    `criteria` the thresholds of whatever is decided on it, `least` the size of logs
+    that its programs are to have room for.
     """
 
     model: ParametricRig
@@ -92,6 +95,7 @@ class Problem:
     symmetric: bool = False
     known: Known | None = None
     criteria: Criteria = Criteria()
+    least: Room = (0, 0, 0)
 
     @classmethod
     def of(
@@ -228,7 +232,9 @@ class Problem:
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
         at = jnp.asarray(values)
-        return self._real(run_leftover(self.model, at, filled(batch), self.simulate))
+        return self._real(
+            run_leftover(self.model, at, filled(batch, self.least), self.simulate)
+        )
 
     def _begun(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
         """The batch with its windows' initial pressures found, and the residuals.
@@ -280,7 +286,15 @@ class Problem:
         batch = self.batch
         if self.blind:
             return replace(self, batch=self._begun(values)[0])
-        return replace(self, batch=batch._replace(P_0=batch.P_0 - at.start[:, :2, -1]))
+        P_0 = batch.P_0 - at.start[:, :2, -1]
+        for i, own in enumerate((batch.windows.P_a1, batch.windows.P_a2)):
+            if np.isfinite(np.asarray(batch.noise)[i]):
+                # A chamber that runs empty in a window says little of where it began.
+                first = np.asarray(own)[:, 0]
+                P_0[:, i] = np.clip(
+                    P_0[:, i], first - START_SPREAD, first + START_SPREAD
+                )
+        return replace(self, batch=batch._replace(P_0=P_0))
 
     def initial_values(self) -> Float[np.ndarray, "n"]:
         """The rig's values, with every free parameter at its start."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -72,3 +72,14 @@ def thinned(batch: Batch, most: int) -> Batch:
         P_0=batch.P_0[keep],
         weight=batch.weight[keep],
     )
+
+
+def placed(
+    problem: Problem, values: Float[np.ndarray, "n"], given: Mapping[str, float]
+) -> Float[np.ndarray, "n"]:
+    """The values with some of them as given, inside their ranges."""
+    values = values.copy()
+    for name, value in given.items():
+        f = problem.free[name]
+        values[problem.model.names.index(name)] = np.clip(value, f.lower, f.upper)
+    return values

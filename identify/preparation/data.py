@@ -17,11 +17,13 @@ from hydrojax.identify.preparation.noise import (
 )
 from hydrojax.identify.preparation.segments import common_band, segment
 from hydrojax.identify.preparation.windows import (
+    DRIVEN_LEAD,
+    FEWEST_LEAD,
     LEAD,
     PRE,
     REACH,
-    REACH_SECONDS,
     SETTLE,
+    SUBSTEP,
     cut,
     motion,
     spread_runs,
@@ -134,9 +136,10 @@ class _Size(NamedTuple):
         """The size of windows of `horizon` s on logs with a row every `h` s."""
         T = max(int(round(horizon / h)), 8)
         if driven_by == "u":
-            ahead = max(REACH, int(np.ceil(REACH_SECONDS / h)))
-            return cls(T, PRE, ahead, LEAD, max(1, int(np.ceil(h / 1.5e-3))))
-        return cls(T, 1, 1, min(LEAD, int(0.3 / h)), 1)
+            ahead = max(PRE, round(REACH / h))
+            lead = max(FEWEST_LEAD, round(LEAD / h))
+            return cls(T, PRE, ahead, lead, max(1, int(np.ceil(h / SUBSTEP))))
+        return cls(T, 1, 1, min(DRIVEN_LEAD, int(0.3 / h)), 1)
 
 
 def _rows(logs: Sequence[Log], criteria: Criteria) -> list[tuple[int, slice]]:

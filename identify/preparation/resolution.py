@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from hydrojax.identify.estimation.balance import balanced
 from hydrojax.identify.estimation.coupled import answer
 from hydrojax.identify.estimation.fit import fit_all
 from hydrojax.identify.estimation.misfit import batch_of
@@ -47,18 +48,26 @@ Change = Callable[
 """What makes another signal of times (s) and a signal."""
 
 
+Values = Float[np.ndarray, "n"]
+
+NoiseBy = Callable[[Problem, Values], Float[np.ndarray, "3"]]
+"""The channels' noise, SI, with what the position's brings by a model there."""
+
+
 @dataclass(frozen=True)
 class Resolved:
     """Logs with what drives them as good as it gets, and those to fit made ready, with
     the remainder of its noise in that of the channels.
 
-    `smoothed` does the same to a log that took no part in it.
+    `smoothed` does the same to a log that took no part in it; `noise_by` is the noise
+    by another model.
     """
 
     logs: tuple[Log, ...]
     fit: Data
     notes: tuple[str, ...] = ()
     smoothed: Callable[[Log], Log] = lambda log: log
+    noise_by: NoiseBy | None = None
 
 
 Ready = Callable[[Sequence[Log], Float[np.ndarray, "3"]], Data]
@@ -95,18 +104,19 @@ def resolve(
     if found is None:
         return Resolved(logs, fit)
     fit = ready(found.logs[:count], found.noise)
-    return Resolved(found.logs, fit, (found.note,), found.change)
+    return Resolved(found.logs, fit, (found.note,), found.change, found.noise_by)
 
 
 class Smoothed(NamedTuple):
     """Logs with what drives smoothed, the channels' noise with it, SI, a remark,
-    and what smooths another log.
+    what smooths another log, and the noise by another model.
     """
 
     logs: tuple[Log, ...]
     noise: Float[np.ndarray, "3"]
     note: str
     change: Callable[[Log], Log]
+    noise_by: NoiseBy | None = None
 
 
 def _position(
@@ -131,28 +141,36 @@ def _position(
 
     smoothed = tuple(map(change, logs))
     again = [
-        _moved(log, spec, partial(_again, sensor_noise), criteria) for log in smoothed
+        _moved(log, spec, partial(_again, sensor_noise), criteria)
+        for log in smoothed[:count]
     ]
 
     def problem_of(data: Data) -> Problem:
         return Problem.of(rig, free_parameters(spec), data, criteria)
 
-    one, other = ready(smoothed, noise), ready(again, noise)
+    one, other = ready(smoothed[:count], noise), ready(again, noise)
 
-    def brought(values: np.ndarray) -> np.ndarray:
-        left = [problem_of(data).residuals_at(values) for data in (one, other)]
+    def brought(problem: Problem, values: np.ndarray) -> np.ndarray:
+        left = [
+            replace(problem, batch=batch_of(data)).residuals_at(values)
+            for data in (one, other)
+        ]
         return _largest(left[1] - left[0], one.log)
+
+    def noise_by(problem: Problem, values: np.ndarray) -> np.ndarray:
+        return np.hypot(noise, brought(problem, values))
 
     # How far the position moves the channels depends on what the rig is: that of the
     # file may be off, and one fitted without what it lacks may be distorted.
-    start = problem_of(one).initial_values()
-    extra = brought(start)
+    problem = problem_of(one)
+    start = problem.initial_values()
+    extra = brought(problem, start)
     if not np.isfinite(extra[np.isfinite(noise)]).all():
         return None  # the fit will say that the model has no finite answer
     data = ready(smoothed[:count], np.hypot(noise, extra))
     problem = problem_of(data)
-    _, point = fit_all(problem, start, in_play(problem, data))
-    found = brought(point.values)
+    values = _roughly_fitted(problem, start, in_play(problem, data))
+    found = brought(problem, values)
     found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, criteria.distorted * found)
     moves = ", ".join(
@@ -167,7 +185,21 @@ def _position(
         f"{_said(sensor_noise)} what is "
         f"left of its noise moves {moves} RMS, which is counted into their noise"
     )
-    return Smoothed(smoothed, np.hypot(noise, extra), note, change)
+    return Smoothed(smoothed, np.hypot(noise, extra), note, change, noise_by)
+
+
+def _roughly_fitted(
+    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
+) -> Float[np.ndarray, "n"]:
+    """Values near a fit: flow balances, then mechanics by themselves."""
+    if not problem.sees_pressures:
+        return fit_all(problem, values, free)[1].values
+    if problem.side(free, True):
+        values = balanced(problem, values, free)
+    mechanical, noise = problem.side(free, False), np.asarray(problem.batch.noise)
+    if mechanical and np.isfinite(noise[2]):
+        values, _ = problem.solve(values, mechanical, noise)
+    return values
 
 
 def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Smoothed | None:

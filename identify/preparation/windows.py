@@ -12,12 +12,23 @@ from hydrojax.plant.replay import Motion, Windows
 PRE = 60
 """Ticks of command ahead of a window that the log must have."""
 
-REACH, REACH_SECONDS = 260, 0.25
-"""Ticks of command ahead of a window that a replay is given, and seconds: whichever is
-longer. A slow spool remembers so long, and the longest delay is within."""
+REACH = 0.26
+"""Seconds of command ahead of a window that a replay is given, and `PRE` ticks at
+least: a slow spool remembers so long, and the longest delay is within."""
 
-LEAD = 20
-"""Ticks at the head of a window that are run but not compared."""
+LEAD, FEWEST_LEAD = 0.02, 4
+"""Seconds at the head of a window that are run but not compared, and ticks at least."""
+
+DRIVEN_LEAD = 20
+"""The same in ticks where the pressures drive, at most: it settles sensors only."""
+
+NEAR = 8e-3
+"""Seconds around its first tick whose measured pressures give a window's first guess,
+8 ticks at most."""
+
+SUBSTEP = 2.5e-3
+"""Longest substep of the pressures, s: halved, the error of a fit of a mobile machine
+logged at 100 Hz moves by less than 1 kPa."""
 
 SETTLE = 1.0
 """Seconds at the head of a segment that no window takes: what bristle, filtered speed
@@ -29,6 +40,9 @@ RUN = 20
 """Windows that follow each other where only some of a log's are taken: friction is
 followed through them, and through the seconds ahead, so that memory does not grow with
 the length of the log."""
+
+BEYOND = 20
+"""Ticks after the last window of a run that its splines are given."""
 
 QUARTERS = 4
 """Steps of the bristle per tick."""
@@ -62,7 +76,7 @@ def spread_runs(
         i, of = rows[k]
         ahead = min(own[0], starts[k][0])
         # A little beyond the last window, where a spline is at its end.
-        stop = min(of.start + own[-1] + size + LEAD, of.stop)
+        stop = min(of.start + own[-1] + size + BEYOND, of.stop)
         kept_rows.append((i, slice(of.start + own[0] - ahead, stop)))
         kept.append(range(ahead, ahead + own[-1] - own[0] + 1, own.step))
     return kept_rows, kept
@@ -87,15 +101,22 @@ def motion(segments: list[Segment], h: float) -> Motion:
     return Motion(*(jnp.asarray(np.array(a)) for a in (dx, ticks, speed, v, F)))
 
 
-def _past(s: Segment, first: int, pre: int) -> tuple[np.ndarray, np.ndarray]:
-    """The command ahead of a window, tick by tick, and its ticks, s.
+def _past(
+    s: Segment, first: int, pre: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The command ahead of a window, tick by tick, its ticks, s, and the pressures, Pa.
 
-    Ahead of the segment the command is taken to have stood where it began.
+    Ahead of the segment they are taken to have stood where they began.
     """
     have = min(pre, first)
     lack, usual = (pre - have, 0), float(s.t[first] - s.t[first - 1])
-    u, h = s.u[first - have : first], np.diff(s.t[first - have : first + 1])
-    return np.pad(u, lack, "edge"), np.pad(h, lack, constant_values=usual)
+    own = slice(first - have, first)
+    h = np.diff(s.t[first - have : first + 1])
+    return (
+        np.pad(s.u[own], lack, "edge"),
+        np.pad(h, lack, constant_values=usual),
+        np.pad(s.P[own], (lack, (0, 0)), "edge"),
+    )
 
 
 def cut(
@@ -120,15 +141,17 @@ def cut(
         t = s.t[at]
         h = np.append(np.diff(t), t[-1] - t[-2])
         fine = t[:-1, None] + h[:-1, None] * parts
-        near = slice(max(first - 8, 0), first + 9)
+        around = int(np.clip(round(NEAR / h[0]), 2, 8))
+        near = slice(max(first - around, 0), first + around + 1)
         slope = np.polyfit(s.t[near] - t[0], s.P[near], 1)
         P_0.append(slope[1])
-        before, before_h = _past(s, first, pre)
+        before, before_h, P_before = _past(s, first, pre)
         row = {
             "seg": k,
             "first": first,
             "before": before,
             "before_h": before_h,
+            "P_before": P_before,
             "u": s.u[at],
             "h": h,
             "P_s": s.P_s[at],

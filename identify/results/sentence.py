@@ -63,7 +63,8 @@ def verdict_sentence(
         )
     channels = " and ".join(u.channel for u in left)
     share = sum(e.share for e in effects)
-    taken = f"takes away {100 * share:.2g} % of the squared error above the noise"
+    part = "over 99.9" if share > 0.999 else f"{100 * share:.3g}"
+    taken = f"takes away {part} % of the squared error above the noise"
     start = f"{names} was found and added and {taken}, but " if names else ""
     rest = "; ".join(u.description for u in left)
     if needed:

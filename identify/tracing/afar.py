@@ -7,37 +7,43 @@ do is not predicted by their derivative at zero, along which a fit goes the wron
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import lsq_linear
 
-from hydrojax.identify.estimation.columns import Batch, basis, slot_names
+from hydrojax.identify.estimation.balance import (
+    Evaluate,
+    Linear,
+    balance_at,
+    descend,
+)
+from hydrojax.identify.estimation.columns import basis, slot_names
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.estimation.starts import thinned
+from hydrojax.identify.estimation.starts import placed, thinned
 from hydrojax.identify.tracing.score import Score
-from hydrojax.identify.tracing.state import Tracing, free_names, placed
+from hydrojax.identify.tracing.state import Tracing, free_names
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
 
 Values = Float[np.ndarray, "n"]
 
 
-class _Local(NamedTuple):
-    """Chi-square on a few windows about some values, along what is free.
+class _Search(NamedTuple):
+    """How starts of some effects are rated.
 
     Attributes:
-        values: of all parameters.
-        where: places of what is free among them.
-        gram: of [sensitivities, residual], priors among its rows.
-        left: chi-square where a linear step would end.
+        problem: on a few windows.
+        evaluate: the sum of squares that rates them.
+        here: that of the model as it stands, once its own parameters follow.
+        effects: with the strengths from which each is tried, by effect.
     """
 
-    values: Values
-    where: np.ndarray
-    gram: np.ndarray
-    left: float
+    problem: Problem
+    evaluate: Evaluate
+    here: float
+    effects: Mapping[str, Sequence[Mapping[str, float]]]
 
 
 def from_afar(
@@ -48,49 +54,108 @@ def from_afar(
 ) -> dict[str, tuple[float, tuple[Values, ...]]]:
     """What effects would gain that are put in with the strengths of their grids.
 
-    Each value of a grid is put in on a few windows, with the rig's own parameters back
-    at their starts (a model that lacks an effect drives them far off), and rated by the
-    chi-square that a linear step of all that is free leaves. From the best minima along
-    the grids a few steps of a fit follow on these windows. Nothing is asked where
-    nothing stands above the noise, or where a candidate's score at zero accounts for
-    all of it.
+    Each value of a grid is put in on a few windows, with the rig's own parameters where
+    they are and back at their starts (a model that lacks an effect drives them far
+    off), and rated by what a linear step of all that is free leaves. From the best
+    along the grids a few steps of a fit follow. What acts on the pressures is rated by
+    the flow balances at the measured ones, whatever its grid; the rest by a replay.
+    Nothing is asked where nothing stands above the noise, or where a candidate's score
+    at zero accounts for all of it.
 
     Returns:
         By effect the gain, in units of its score's, and where it may be fitted from,
         the best first.
     """
-    grids = {n: starts for n, e in effects.items() if (starts := nonlocal_starts(e))}
-    if not grids or _accounted(state, scores, noise):
+    if not effects or _accounted(state, scores, noise):
         return {}
-    own, problem = state.criteria, state.problem
-    weights = np.where(np.isfinite(noise), state.point.weights, np.inf)
-    few = thinned(problem.batch, own.start_windows)._replace(noise=weights)
     whole = next(iter(scores.values())).left
-    here = _local(problem, few, state.point.values, state.free).left
+    out = {}
+    for search in filter(
+        None, (_balances(state, effects), _replays(state, effects, noise))
+    ):
+        for name, fits in _found(state, effects, search).items():
+            gain = whole * (1 - min(f.left for f in fits) / search.here)
+            fits = sorted(fits, key=lambda f: f.left)
+            out[name] = (float(gain), tuple(f.values for f in fits))
+    return out
+
+
+def _balances(state: Tracing, effects: Mapping[str, Effect]) -> _Search | None:
+    """Effects that act on the pressures, where these are measured."""
+    own = state.criteria
+    few = replace(
+        state.problem, batch=thinned(state.problem.batch, own.balance_windows)
+    )
+    upstream = {
+        name: [*shape_starts(e), *nonlocal_starts(e)]
+        for name, e in effects.items()
+        if len(few.side(free_names(e), True)) == len(free_names(e))
+    }
+    if not upstream or not few.sees_pressures:
+        return None
+
+    def evaluate(values: Values, free: Sequence[str]) -> Linear:
+        return balance_at(few, values, free)
+
+    at = evaluate(state.point.values, state.free)
+    here = descend(few, evaluate, at, state.free, own.far_steps).left
+    return _Search(few, evaluate, here, upstream)
+
+
+def _replays(
+    state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
+) -> _Search | None:
+    """Effects whose strengths have a grid, and that the balances do not show."""
+    problem, own = state.problem, state.criteria
+    grids = {
+        name: starts
+        for name, e in effects.items()
+        if (starts := nonlocal_starts(e))
+        and not (problem.sees_pressures and problem.side(free_names(e), True))
+    }
+    if not grids:
+        return None
+    weights = np.where(np.isfinite(noise), state.point.weights, np.inf)
+    batch = thinned(problem.batch, own.start_windows)._replace(noise=weights)
+    few = replace(problem, batch=batch)
+
+    def evaluate(values: Values, free: Sequence[str]) -> Linear:
+        slots = few.slots(free)
+        columns = slot_names(few.model, tuple(free), slots)
+        gram = few.evaluate(values, basis(few.model, tuple(free), slots), batch).gram
+        return Linear.of(few, values, columns, np.sum(gram, axis=0))
+
+    here = evaluate(state.point.values, state.free).predicted(few)
+    return _Search(few, evaluate, here, grids)
+
+
+def _found(
+    state: Tracing, effects: Mapping[str, Effect], search: _Search
+) -> dict[str, list[Linear]]:
+    """The best fits of each effect on a few windows, from the deepest minima of all."""
+    problem, evaluate, _, grids = search
+    own, here = state.criteria, state.point.values
     added = {n for a in state.added for n in free_names(state.effects[a.name])}
     back = {n: problem.free[n].start for n in state.free if n not in added}
-    start = placed(problem, state.point.values, back)
     found = []
     for name, grid in grids.items():
         free = (*state.free, *free_names(effects[name]))
-        at = [_local(problem, few, placed(problem, start, far), free) for far in grid]
-        left = np.array([a.left for a in at])
-        around = np.r_[np.inf, left, np.inf]
-        (low,) = np.nonzero((left <= around[:-2]) & (left <= around[2:]))
-        best = sorted(low, key=lambda i: left[i])[: own.far_starts]
-        found += [(left[i], name, at[i], free) for i in best]
-    out: dict[str, list[tuple[float, Values]]] = {}
+        for base in (here, placed(problem, here, back)):
+            at = [evaluate(placed(problem, base, far), free) for far in grid]
+            left = np.array([a.predicted(problem) for a in at])
+            around = np.r_[np.inf, left, np.inf]
+            (low,) = np.nonzero((left <= around[:-2]) & (left <= around[2:]))
+            best = sorted(low, key=lambda i: left[i])[: own.far_starts]
+            found += [(left[i], name, at[i], free) for i in best]
+    out: dict[str, list[Linear]] = {}
     found.sort(key=lambda f: f[0])
-    for _, name, at, free in found[: own.far_fits]:
-        done = _descend(problem, few, at, free, own.far_steps)
-        out.setdefault(name, []).append(done)
-    return {
-        name: (
-            float(whole * (1 - min(f[0] for f in fits) / here)),
-            tuple(values for _, values in sorted(fits, key=lambda f: f[0])),
-        )
-        for name, fits in out.items()
-    }
+    for _, name, at, free in found:
+        if len(out.get(name, ())) < own.far_starts and (
+            name in out or len(out) < own.far_fits
+        ):
+            done = descend(problem, evaluate, at, free, own.far_steps)
+            out.setdefault(name, []).append(done)
+    return out
 
 
 def _accounted(state: Tracing, scores: Mapping[str, Score], noise: np.ndarray) -> bool:
@@ -108,69 +173,6 @@ def _accounted(state: Tracing, scores: Mapping[str, Score], noise: np.ndarray) -
     return left - max(s.gain for s in scores.values()) <= floor + above
 
 
-def _local(problem: Problem, few: Batch, values: Values, free: Sequence[str]) -> _Local:
-    model, slots = problem.model, problem.slots(free)
-    columns = slot_names(model, tuple(free), slots)
-    keep, names = zip(*[(i, n) for i, n in enumerate(columns) if n], strict=True)
-    index = np.array([model.names.index(n) for n in names])
-    gram = problem.evaluate(values, basis(model, tuple(free), slots), few).gram
-    gram = np.sum(gram, axis=0)[np.ix_([*keep, -1], [*keep, -1])]
-    for i, f in enumerate(problem.free[n] for n in names):
-        if f.prior:
-            row = (
-                model.scale[index[i]] / f.prior,
-                (values[index[i]] - f.start) / f.prior,
-            )
-            at = np.ix_([i, -1], [i, -1])
-            gram[at] += np.outer(row, row)
-    move = _move(problem, values, index, gram, 1e-6)
-    full = np.append(move, 1.0)
-    return _Local(values, index, gram, float(full @ gram @ full))
-
-
-def _move(
-    problem: Problem,
-    values: Values,
-    index: np.ndarray,
-    gram: np.ndarray,
-    damping: float,
-) -> Float[np.ndarray, "free"]:
-    """The damped step to the least chi-square inside the ranges, in scales."""
-    k, names = len(index), problem.model.names
-    scale = problem.model.scale[index]
-    ends = np.array(
-        [(problem.free[names[i]].lower, problem.free[names[i]].upper) for i in index]
-    )
-    box = (ends - values[index, None]) / scale[:, None]
-    size = np.sqrt(np.maximum(np.diag(gram)[:k], 1e-12 * np.max(np.diag(gram)[:k])))
-    H = gram[:k, :k] / np.outer(size, size) + damping * np.eye(k)
-    R = np.linalg.cholesky(H + 1e-9 * np.eye(k)).T
-    aim = np.linalg.solve(R.T, -gram[:k, -1] / size)
-    low, high = (box * size[:, None]).T
-    ends = np.minimum(low, -1e-9), np.maximum(high, 1e-9)
-    return lsq_linear(R, aim, ends, method="bvls").x / size
-
-
-def _descend(
-    problem: Problem, few: Batch, at: _Local, free: Sequence[str], steps: int
-) -> tuple[float, Values]:
-    """Chi-square after a few damped steps of a fit on these windows, and the values."""
-    damping, names = 1e-3, problem.model.names
-    for _ in range(steps):
-        move = _move(problem, at.values, at.where, at.gram, damping)
-        moved = at.values[at.where] + move * problem.model.scale[at.where]
-        given = {names[i]: v for i, v in zip(at.where, moved, strict=True)}
-        there = _local(problem, few, placed(problem, at.values, given), free)
-        if there.gram[-1, -1] < at.gram[-1, -1]:
-            settled = there.gram[-1, -1] > 0.99 * at.gram[-1, -1]
-            at, damping = there, damping / 10
-            if settled:
-                break
-        else:
-            damping *= 100
-    return float(at.gram[-1, -1]), at.values
-
-
 def nonlocal_starts(effect: Effect) -> list[dict[str, float]]:
     """Strengths at which an effect is tried as it stands, along its grid: what it does
     there is not predicted by its derivative at zero.
@@ -180,3 +182,13 @@ def nonlocal_starts(effect: Effect) -> list[dict[str, float]]:
     }
     length = max((len(g) for g in grids.values()), default=0)
     return [{n: g[i] for n, g in grids.items() if i < len(g)} for i in range(length)]
+
+
+def shape_starts(effect: Effect) -> list[dict[str, float]]:
+    """Values of its shape along their grids, its strengths at zero; one at least."""
+    grids = {
+        f"{effect.name}.{f}": s.grid for f, s in specs(effect).items() if not s.strength
+    }
+    length = max((len(g) for g in grids.values()), default=0)
+    starts = [{n: g[i] for n, g in grids.items() if i < len(g)} for i in range(length)]
+    return starts or [{}]

@@ -59,6 +59,12 @@ class Criteria:
     far_steps: int = 5
     """Steps of these fits, count: they rank the starts and need not end. As
     `far_starts`."""
+    balance_windows: int = 128
+    """Windows whose flow balances are fitted where one looks for starts, count: time
+    against information."""
+    outdone: float = 5.0
+    """Times what the best start leaves of the balances from which another candidate is
+    not refitted once the best has helped, 1: time. `benchmarks.trace`."""
     rival: float = 0.7
     """Gain from which a candidate is tried in the place of an effect that was added,
     over that effect's own gain there, 1: a score is linear, and misjudges that much."""

@@ -71,8 +71,11 @@ def _round(
     tried = dict(state.tried)
     helped: list[tuple[float, str, Problem, FitPoint, np.ndarray]] = []
     tries = criteria.tries
+    least_left = worth[0].left - worth[0].gain if worth else 0.0
     for i, s in enumerate(worth):
         if i >= tries and s.gain < criteria.near_best * worth[0].gain:
+            break
+        if helped and s.left - s.gain > criteria.outdone * least_left:
             break
         state.progress(f"refit with {s.name}")
         problem, point = refit(state, effects[s.name], s, noise)

@@ -10,10 +10,11 @@ from jaxtyping import Float
 
 from hydrojax.identify.estimation.fit import FitPoint, fit_jointly, fit_pressures
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.estimation.starts import placed
 from hydrojax.identify.tracing.judge import cost
 from hydrojax.identify.tracing.score import Score
 from hydrojax.identify.tracing.screen import scores_of
-from hydrojax.identify.tracing.state import Tracing, free_names, placed, strengths
+from hydrojax.identify.tracing.state import Tracing, free_names, strengths
 from hydrojax.plant.effect import Effect
 
 FRICTION = ("velocity", "level", "friction")
@@ -42,7 +43,10 @@ def refit(
         start = next(starts, None)
         if start is None:
             break
-        best = min(best, one(start), key=lambda f: cost(f[2], noise))
+        other = one(start)
+        if s.far and cost(other[2], noise) > 0.99 * cost(best[2], noise):
+            break  # a start that was searched for is not likely to be outdone
+        best = min(best, other, key=lambda f: cost(f[2], noise))
     return best[:2]
 
 

@@ -73,14 +73,3 @@ def strengths(effect: Effect) -> list[str]:
 def free_names(effect: Effect) -> list[str]:
     """Names of all parameters of an effect, as the model has them."""
     return [f"{effect.name}.{n}" for n in specs(effect)]
-
-
-def placed(
-    problem: Problem, values: Float[np.ndarray, "n"], given: Mapping[str, float]
-) -> Float[np.ndarray, "n"]:
-    """The values with some of them as given, inside their ranges."""
-    values = values.copy()
-    for name, value in given.items():
-        f = problem.free[name]
-        values[problem.model.names.index(name)] = np.clip(value, f.lower, f.upper)
-    return values

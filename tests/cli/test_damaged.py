@@ -15,7 +15,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.damage import __main__ as damage
+from benchmarks.damage import readers
 from benchmarks.damage.mutations import damaged_log, damaged_rig
+from benchmarks.damage.samples import samples
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
@@ -244,3 +246,28 @@ def test_the_command_answers_or_refuses(bench, monkeypatch, cache_home, seed):
     folder, truth = bench
     found = damage.one(seed, folder, truth)
     assert not found.fault, found
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> Path:
+    """Sound samples of everything that is read."""
+    folder = tmp_path_factory.mktemp("sound")
+    samples(folder)
+    return folder
+
+
+def test_every_reader_answers_or_refuses(sound, tmp_path):
+    faults = [
+        (seed, *readers.one(seed, sound, tmp_path))
+        for seed in range(10**6, 10**6 + 150)
+    ]
+    assert not [found for found in faults if found[2]]
+    assert len({name for _, name, _ in faults}) == len(readers.READERS)
+
+
+def test_a_reader_at_fault_is_found(sound, tmp_path, monkeypatch):
+    def broken(path: Path) -> None:
+        raise KeyError(path.name)
+
+    monkeypatch.setattr(readers, "READERS", {"words": ("", broken)})
+    assert readers.one(0, sound, tmp_path) == ("words", "KeyError: 'words'")

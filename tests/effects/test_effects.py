@@ -44,6 +44,7 @@ ALL = (0, 1, 2)
 REACH = {
     "command": ALL,
     "orifice": ALL,
+    "line": ALL,
     "supply": ALL,
     "flow": ALL,
     "volume": ALL,
@@ -103,8 +104,8 @@ ONE_SENSOR = {"pressure_sensor_bias.b_1": (0,), "pressure_sensor_bias.b_2": (1,)
 ONE_CHAMBER = {
     "dead_volume.V_01": (0, 2),
     "dead_volume.V_02": (1, 2),
-    "counterbalance.s_1": (0, 2),
-    "counterbalance.s_2": (1, 2),
+    "counterbalance.k_1": (0, 2),
+    "counterbalance.k_2": (1, 2),
 }
 
 
@@ -567,6 +568,8 @@ def full(rig):
         for name, spec in parameter_specs(rig).items()
         if spec.strength
     }
+    # Nearly shut at these pressures: open it loses next to nothing.
+    new["counterbalance.P_set"] = 2.1e7
     return put(rig, list(new), list(new.values()))
 
 

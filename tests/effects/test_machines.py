@@ -10,6 +10,7 @@ from scipy.signal import TransferFunction, lsim
 
 from hydrojax.effects import EFFECTS as KNOWN
 from hydrojax.plant.chambers import Point
+from hydrojax.plant.effect import InLine
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.rig import add, bare_rig
 
@@ -26,8 +27,10 @@ def point(P_1, P_2, u):
 
 
 def flows(effect, at):
+    """Flows into both chambers, at rest."""
     rig = add(bare_rig(LAYOUTS["differential"], GEOMETRY), [effect])
-    return np.array(rig.valve.flows(at, rig.supply, rig.orifice))
+    lines = [InLine(e, e.init(at.P_a1, at.P_a2)) for e in rig.line]
+    return np.array(rig.valve.flows(at, rig.supply, (*rig.orifice, *lines)))
 
 
 @pytest.mark.parametrize("s", [0.4, 1.0])
@@ -42,6 +45,8 @@ def test_a_compensator_leaves_its_margin_across_the_edge(s):
         assert q[1] == pytest.approx(-C * 0.6 * np.sqrt(5e6 - P_R), rel=1e-5)
     below = flows(effect, point(P_S - 3e5, 5e6, 0.6))[0]
     assert below == pytest.approx(C * 0.6 * np.sqrt(3e5), rel=1e-4)
+    back = flows(effect, point(P_S + 2e6, 5e6, 0.6))[0]
+    assert back == pytest.approx(-C * 0.6 * np.sqrt((1 - s) * 2e6), rel=1e-4, abs=1e-9)
 
 
 @pytest.mark.parametrize("u_full", [1.0, 10.0])
@@ -54,16 +59,42 @@ def test_a_flow_curve_is_whole_at_full_command(u_full):
 
 
 def test_a_counterbalance_valve_opens_by_its_pilot():
-    """Shut below its setting; by thirds of its way; open; the other way free."""
-    effect = EFFECTS["counterbalance"](s_2=1.0, P_set=1.2e7, ratio=3.0, dP_full=9e6)
-    for pilot, open_to in ((1e6, 0.0), (3e6, 1 / 3), (4e6, 2 / 3), (8e6, 1.0)):
+    """In series with the edge; shut below its setting but for a leak; by thirds of its
+    way; open; the other way free.
+    """
+    own = 2 * C
+    effect = EFFECTS["counterbalance"](
+        k_2=1 / own**2, P_set=1.2e7, ratio=3.0, dP_full=9e6
+    )
+    for pilot, share in ((1e6, 0.01), (3e6, 1 / 3), (4e6, 2 / 3), (8e6, 1.0)):
         q = flows(effect, point(pilot, 6e6, 0.5))
-        want = -C * 0.5 * np.sqrt(6e6 - P_R) * open_to
-        assert q[1] == pytest.approx(want, rel=1e-5, abs=1e-12)
+        lost = 1 / (C * 0.5) ** 2 + 1 / (own * share) ** 2
+        want = -np.sqrt((6e6 - P_R) / lost)
+        assert q[1] == pytest.approx(want, rel=1e-5)
         assert q[0] == pytest.approx(C * 0.5 * np.sqrt(P_S - pilot), rel=1e-5)
     lifted = flows(effect, point(1e6, 6e6, -0.5))
     assert lifted[1] == pytest.approx(C * 0.5 * np.sqrt(P_S - 6e6), rel=1e-5)
     assert lifted[0] == pytest.approx(-C * 0.5 * np.sqrt(1e6 - P_R), rel=1e-5)
+
+
+def test_a_counterbalance_valve_comes_late():
+    """Its poppet after a step of the pilot, and its mean over each tick, in closed
+    form.
+    """
+    tau, h = 0.08, 0.01
+    effect = EFFECTS["counterbalance"](
+        k_2=1e16, P_set=1.2e7, ratio=3.0, dP_full=9e6, tau=tau
+    )
+    memory = effect.init(np.float64(3e6), np.float64(6e6))
+    first, last = 1 / 3, 2 / 3
+    for i in range(20):
+        memory = effect.step(memory, np.float64(4e6), np.float64(6e6), h)
+        ends = np.array([i, i + 1]) * h
+        share = last + (first - last) * np.exp(-ends / tau)
+        # The integral of what falls off, over the tick.
+        mean = last + (first - last) * -np.diff(np.exp(-ends / tau))[0] * tau / h
+        assert float(memory[0][1]) == pytest.approx(share[1], rel=1e-12)
+        assert float(memory[1][1]) == pytest.approx(mean, rel=1e-12)
 
 
 @pytest.mark.parametrize(("omega", "zeta"), [(6.0, 0.8), (40.0, 0.5), (125.0, 0.95)])

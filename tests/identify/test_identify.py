@@ -652,11 +652,12 @@ def test_the_command_ahead_of_a_window_reaches_far_back(recorded):
     case = recorded(SEED, {})
     data, log = opened(case).fit, Log.load(case / "fit_1.csv")
     w, u = data.windows, log.signals["u"]
-    assert w.before.shape[1] == windows.REACH
+    reach = round(windows.REACH / 1e-3)
+    assert w.before.shape[1] == reach
     for i in (0, 5):
         first = int(w.first[i])
-        assert np.sum(w.before_h[i]) == pytest.approx(windows.REACH * 1e-3)
-        assert np.allclose(w.before[i], u[first - windows.REACH : first])
+        assert np.sum(w.before_h[i]) == pytest.approx(windows.REACH)
+        assert np.allclose(w.before[i], u[first - reach : first])
 
 
 def test_a_segment_that_begins_late_had_stood_still():
@@ -669,8 +670,8 @@ def test_a_segment_that_begins_late_had_stood_still():
         log=0, origin=0.0, t=t, place=line, v=zero, a=zero, u=u, P_s=zero, P_r=zero,
         P=np.zeros((t.size, 2)), F=zero, smoothed=zero,
     )  # fmt: skip
-    before, h = windows._past(segment, 150, windows.REACH)
-    assert before.size == h.size == windows.REACH
+    before, h, _ = windows._past(segment, 150, 260)
+    assert before.size == h.size == 260
     assert np.allclose(h, 1e-3)
     reach = np.cumsum(h[::-1])[::-1] - h  # from a tick's end to the window
     assert np.allclose(before[reach > 0.05], 2.0)

@@ -77,6 +77,7 @@ def by_steps(rig, log):
         sensor_P=tuple(sensors(rig.gauge(i), true[..., i]) for i in range(2)),
         sensor_F=sensors(rig.sensor_F, true[..., 2]),
         lacking=(0 * P_0[:, 0], 0 * P_0[:, 1]),
+        line=rig.line_init(w.P_before[:, -1, 0], w.P_before[:, -1, 1]),
     )
     index = w.seg[:, None], w.first[:, None] + jnp.arange(1, ticks)
     along = StepInput(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -55,3 +58,24 @@ def test_an_error_is_not_a_megabyte():
     assert len(said) < 1300 and said.endswith("; mend it")
     assert one_line("plain µ · ±") == "plain µ · ±"
     assert np.char.isalpha(one_line("äöü"))
+
+
+OUT = r"""
+import sys
+from hydrojax import cli
+from hydrojax.cli.options import console
+
+@cli.app.command()
+def show(name: str):
+    console.print(f"report in {name}", soft_wrap=True)
+
+cli.main()
+"""
+
+
+def test_a_folder_whose_name_is_no_text_is_shown():
+    done = subprocess.run(
+        [sys.executable, "-c", OUT, "show", b"a\xff[/x]b"], capture_output=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == b"report in a\\udcff[/x]b\n"

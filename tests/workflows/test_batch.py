@@ -34,6 +34,7 @@ from hydrojax.tune import api, sweep
 from hydrojax.workflows.fleet import friction, merged, summary, sweeps
 from hydrojax.workflows.fleet import run as running
 from hydrojax.workflows.fleet.jobs import read_jobs
+from hydrojax.workflows.fleet.local import Limits
 from hydrojax.workflows.fleet.report import controller_lines
 from hydrojax.workflows.fleet.run import Ran, Stopped, run_fleet
 from hydrojax.workflows.fleet.work import Options
@@ -260,6 +261,20 @@ def test_a_job_that_kills_its_worker_fails_alone(tmp_path):
     assert calls(tmp_path) == [1, 1, 3, 1, 1]
 
 
+def test_a_job_beyond_its_time_or_memory_fails_alone(tmp_path):
+    logs = good(4)
+    logs[1]["seconds"] = 600.0
+    logs[2]["holds"] = 1200 * 2**20
+    table, out = fleet(tmp_path, logs), tmp_path / "out"
+    limits = Limits(seconds=8.0, memory=1000 * 2**20)
+    assert pretended(table, out, limits=limits) == Ran(4, 4, 2, True)
+    failed = pd.read_parquet(out / "fleet.parquet")["failed"].tolist()
+    assert failed[1] == "took more than 8 s (--job-seconds)"
+    assert "GiB (--job-memory)" in failed[2]
+    assert failed[0] is failed[3] is None
+    assert calls(tmp_path) == [1, 1, 1, 1]  # no worker tries it again
+
+
 def test_a_worker_that_has_grown_is_replaced(tmp_path):
     table = fleet(tmp_path, good(3))
     jobs = read_jobs(table)
@@ -376,7 +391,7 @@ def test_ctrl_c_keeps_what_is_done_and_leaves_no_worker(tmp_path):
 
 
 def test_ctrl_c_says_how_to_go_on(call, tmp_path, monkeypatch):
-    def stop(*_: object) -> None:
+    def stop(*_: object, **__: object) -> None:
         raise Stopped(3, 40)
 
     monkeypatch.setattr(running, "run_fleet", stop)

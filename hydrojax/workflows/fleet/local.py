@@ -1,7 +1,8 @@
 """Worker processes on this machine, and what happens when one of them dies.
 
 Each has its own process and its share of the cores. A worker whose memory has grown is
-replaced; a task whose worker died is given to another, at most `TRIES` times.
+replaced; a task whose worker died is given to another, at most `TRIES` times. A task
+that takes more time or memory than its limit fails, and the others go on.
 """
 
 from __future__ import annotations
@@ -11,7 +12,10 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -21,8 +25,25 @@ from hydrojax.workflows.fleet.work import Done, Task, lost
 MEMORY = 3 * 2**30
 """Bytes a worker may have held before it is replaced: compiled programs stay in it."""
 
+LOOK = 0.5
+"""Seconds between two looks at what a task takes."""
+
 TRIES = 3
 """Workers that may die of a task before it counts as failed."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one task may take.
+
+    Attributes:
+        seconds: from when a worker has it.
+        memory: bytes that the worker holds, where the system says how many.
+    """
+
+    seconds: float = 3600.0
+    memory: int = 8 * 2**30
+
 
 Progress = Callable[[Done], None]
 """Called with every task that is done."""
@@ -34,6 +55,7 @@ def share_out(
     log: Path,
     progress: Progress,
     most: int = MEMORY,
+    limits: Limits = Limits(),
 ) -> None:
     """Have every task done by one of some worker processes.
 
@@ -45,11 +67,14 @@ def share_out(
         log: a file, made if it is not there.
         progress: called with every task that is done, in this thread.
         most: bytes of a worker at which it is replaced.
+        limits: of every task.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     source, lock = iter(tasks), threading.Lock()
     ended: SimpleQueue[Done | BaseException | None] = SimpleQueue()
-    lanes = [_Lane(source, lock, ended, log, workers, most) for _ in range(workers)]
+    lanes = [
+        _Lane(source, lock, ended, log, workers, most, limits) for _ in range(workers)
+    ]
     for lane in lanes:
         lane.start()
     try:
@@ -75,13 +100,15 @@ def share_out(
 class _Lane(threading.Thread):
     """One worker after another, and the tasks they are given."""
 
-    def __init__(self, source: Iterator[Task], lock, ended, log: Path, workers, most):
+    def __init__(
+        self, source: Iterator[Task], lock, ended, log: Path, workers, most, limits
+    ):
         super().__init__(daemon=True)
         self.source, self.lock, self.ended = source, lock, ended
-        self.log, self.most = log, most
+        self.log, self.most, self.limits = log, most, limits
         self.environment = os.environ | environment(max(1, cores() // workers))
         self.process: subprocess.Popen[str] | None = None
-        self.stopped = False
+        self.stopped, self.exceeded = False, ""
 
     def run(self) -> None:
         try:
@@ -118,6 +145,8 @@ class _Lane(threading.Thread):
             if result:
                 return Done.model_validate_json(result)
             code = self._end()
+            if self.exceeded:
+                return lost(task, self.exceeded)
         return lost(task, f"its worker died {TRIES} times ({_cause(code)})")
 
     def _perform(self, task: Task) -> str:
@@ -128,12 +157,31 @@ class _Lane(threading.Thread):
                 return ""
         pipe, results = self.process.stdin, self.process.stdout
         assert pipe is not None and results is not None
+        over, self.exceeded = threading.Event(), ""
+        watch = threading.Thread(target=self._watch, args=(self.process, over))
+        watch.start()
         try:
             pipe.write(task.model_dump_json() + "\n")
             pipe.flush()
             return results.readline()
         except OSError:
             return ""
+        finally:
+            over.set()
+            watch.join()
+
+    def _watch(self, process: subprocess.Popen[str], over: threading.Event) -> None:
+        """End the worker where its task takes more than it may."""
+        began, most = time.monotonic(), self.limits
+        while not over.wait(LOOK):
+            if time.monotonic() - began > most.seconds:
+                self.exceeded = f"took more than {most.seconds:g} s (--job-seconds)"
+            elif held(process.pid) > most.memory:
+                size = most.memory / 2**30
+                self.exceeded = f"took more than {size:g} GiB (--job-memory)"
+            if self.exceeded:
+                process.kill()
+                return
 
     def _begin(self) -> subprocess.Popen[str]:
         with self.log.open("a") as log:
@@ -155,6 +203,14 @@ class _Lane(threading.Thread):
             if pipe is not None:
                 pipe.close()
         return code
+
+
+def held(pid: int) -> int:
+    """Bytes that a process holds; 0 where the system does not say."""
+    with suppress(OSError, ValueError, IndexError):
+        pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
+        return int(pages) * os.sysconf("SC_PAGE_SIZE")
+    return 0
 
 
 def environment(threads: int) -> dict[str, str]:

@@ -60,6 +60,7 @@ def run_fleet(
     progress: Progress | None = None,
     solver: str = SOLVER,
     report: bool = True,
+    limits: local.Limits = local.Limits(),
 ) -> Ran:
     """Do what is left of a table of jobs, and write its one table of results.
 
@@ -74,6 +75,8 @@ def run_fleet(
         progress: called with the jobs done and their total number.
         solver: what does a job; see `work.SOLVER`.
         report: whether fleet.html and its pictures are made too.
+        limits: what one job may take of time and memory, where workers are processes of
+            this machine's own.
 
     Raises:
         InputError: an invalid table or address, or results that workers wrote and
@@ -92,8 +95,9 @@ def run_fleet(
         if left:
             tasks = _tasks(jobs, keys, left, options, out, solver)
             done += _work(
-                tasks, len(left), len(set(keys)), out, workers, cluster, progress
-            )
+                tasks, len(left), len(set(keys)), out, workers, cluster, progress,
+                limits,
+            )  # fmt: skip
         elif merged(store) == mark and ((out / "fleet.html").exists() or not report):
             failures = _failures(out)
             if failures is not None:
@@ -144,7 +148,7 @@ def _tasks(
 
 def _work(
     tasks: Iterator[Task], left: int, total: int, out: Path, workers: int,
-    cluster: str, progress: Progress | None,
+    cluster: str, progress: Progress | None, limits: local.Limits,
 ) -> int:  # fmt: skip
     """Have tasks done; how many were."""
     done = 0
@@ -163,7 +167,8 @@ def _work(
                 clusters.share_out(tasks, perform, found, count_one, lost)
         else:
             count = min(workers or cores(), left)
-            local.share_out(tasks, count, out / "workers.log", count_one)
+            log = out / "workers.log"
+            local.share_out(tasks, count, log, count_one, limits=limits)
     except KeyboardInterrupt:
         raise Stopped(total - left + done, total) from None
     return done

@@ -1,0 +1,199 @@
+"""A fit of the flow balances at the measured pressures: a start from anywhere.
+
+A replay carries what a model lacks from tick to tick, and a fit of it drives the
+parameters off to compensate. The balance of each tick knows its own error only, costs a
+tenth, and has fewer local minima: where a replay's fit begins, and which effect it is
+worth to begin with, is asked of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.optimize import lsq_linear
+
+from hydrojax.identify.estimation.columns import Batch, ParametricRig, basis, slot_names
+from hydrojax.identify.estimation.misfit import filled
+from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.estimation.starts import placed, thinned
+from hydrojax.parameters import put
+from hydrojax.plant.imbalance import imbalance
+
+Values = Float[np.ndarray, "n"]
+
+SPAN, FEWEST = 0.025, 12
+"""Seconds over which a balance is summed under a smooth weight, and ticks at least:
+pressures are noisy, and their noise sums to little there."""
+
+
+BASE_STEPS = 8
+"""Steps of a fit of the declared model's balances: it only is to begin near."""
+
+
+class Linear(NamedTuple):
+    """A sum of squares about some values, along what is free.
+
+    Attributes:
+        values: of all parameters.
+        where: places of what is free among them.
+        gram: of [sensitivities, residual], priors among its rows.
+    """
+
+    values: Values
+    where: np.ndarray
+    gram: Float[np.ndarray, "rows rows"]
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        values: Values,
+        columns: Sequence[str | None],
+        gram: Float[np.ndarray, "rows rows"],
+    ) -> Linear:
+        """Without the columns that stand for nothing, and with what is known ahead."""
+        model = problem.model
+        used = [i for i, n in enumerate(columns) if n]
+        gram = gram[np.ix_([*used, -1], [*used, -1])]
+        index = np.array([model.names.index(n) for n in columns if n], int)
+        for i, f in enumerate(problem.free[n] for n in columns if n):
+            if f.prior:
+                slope = model.scale[index[i]] / f.prior
+                row = (slope, (values[index[i]] - f.start) / f.prior)
+                gram[np.ix_([i, -1], [i, -1])] += np.outer(row, row)
+        return cls(values, index, gram)
+
+    @property
+    def left(self) -> float:
+        """The sum of squares there."""
+        return float(self.gram[-1, -1])
+
+    def move(self, problem: Problem, damping: float) -> Float[np.ndarray, "k"]:
+        """The damped step to the least sum of squares inside the ranges, in scales."""
+        k, names = len(self.where), problem.model.names
+        scale = problem.model.scale[self.where]
+        free = [problem.free[names[i]] for i in self.where]
+        size = np.sqrt(np.maximum(np.diag(self.gram)[:k], 0.0))
+        size = np.maximum(size, 1e-6 * np.max(size, initial=0.0) + 1e-300)
+        H = self.gram[:k, :k] / np.outer(size, size)
+        R = np.linalg.cholesky(H + (damping + 1e-9) * np.eye(k)).T
+        aim = np.linalg.solve(R.T, -self.gram[:k, -1] / size)
+        ends = np.array([(f.lower, f.upper) for f in free]).reshape(k, 2)
+        box = (ends - self.values[self.where, None]) * (size / scale)[:, None]
+        low, high = box.T
+        ends = np.minimum(low, -1e-9), np.maximum(high, 1e-9)
+        return lsq_linear(R, aim, ends, method="bvls").x / size
+
+    def predicted(self, problem: Problem) -> float:
+        """The sum of squares where a linear step would end."""
+        full = np.append(self.move(problem, 1e-6), 1.0)
+        return float(full @ self.gram @ full)
+
+    def moved(self, problem: Problem, damping: float) -> Values:
+        """The values after a damped step."""
+        move = self.move(problem, damping) * problem.model.scale[self.where]
+        names = (problem.model.names[i] for i in self.where)
+        at = self.values[self.where] + move
+        return placed(problem, self.values, dict(zip(names, at, strict=True)))
+
+
+Evaluate = Callable[[Values, Sequence[str]], Linear]
+
+
+def descend(
+    problem: Problem, evaluate: Evaluate, at: Linear, free: Sequence[str], steps: int
+) -> Linear:
+    """Where a few damped steps of a fit inside the ranges lead."""
+    damping = 1e-3
+    for _ in range(steps):
+        there = evaluate(at.moved(problem, damping), free)
+        if there.left < at.left:
+            settled = there.left > 0.99 * at.left
+            at, damping = there, damping / 10
+            if settled:
+                break
+        else:
+            damping *= 100
+    return at
+
+
+def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
+    """The balances at some values, along those of `free` that act on the pressures."""
+    model, free = problem.model, problem.side(free, True)
+    slots = (problem.slots(free)[0], 0)
+    gram = _run(
+        model,
+        jnp.asarray(values),
+        basis(model, free, slots).hydraulic,
+        filled(problem.batch),
+        jnp.asarray(_weight(problem.batch)),
+    )
+    columns = slot_names(model, free, slots)
+    return Linear.of(problem, values, columns, np.array(gram))
+
+
+def balanced(problem: Problem, values: Values, free: Sequence[str]) -> Values:
+    """The values at which the declared model's own balances fit best, or those given
+    if there a replay is nearer to what was measured.
+    """
+    few = replace(
+        problem, batch=thinned(problem.batch, problem.criteria.balance_windows)
+    )
+
+    def evaluate(values: Values, free: Sequence[str]) -> Linear:
+        return balance_at(few, values, free)
+
+    at = descend(few, evaluate, evaluate(values, free), free, BASE_STEPS)
+    noise = np.asarray(problem.batch.noise)
+    seen = np.isfinite(noise) & PRESSURES
+    costs = [
+        np.sum(problem.errors_at(v)[:, seen] / noise[seen] ** 2)
+        for v in (values, at.values)
+    ]
+    return at.values if costs[1] < costs[0] else values
+
+
+def _weight(batch: Batch) -> Float[np.ndarray, "rows ticks"]:
+    """Smooth weights that half overlap, over the ticks of a window."""
+    ticks = batch.windows.x_fine.shape[1]
+    h = float(np.median(batch.windows.h))
+    span = min(max(round(SPAN / h), FEWEST), ticks)
+    w = np.sin(np.pi * (np.arange(span) + 0.5) / span) ** 2
+    starts = range(0, ticks - span + 1, max(span // 2, 1))
+    out = np.zeros((len(starts), ticks))
+    for i, s in enumerate(starts):
+        out[i, s : s + span] = w
+    return out
+
+
+@eqx.filter_jit
+def _run(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    directions: Float[Array, "n_1 k"],
+    batch: Batch,
+    weight: Float[Array, "rows ticks"],
+) -> Float[Array, "rows_k rows_k"]:
+    """Gram matrix of the balances' sums, each over its displacement's RMS."""
+    n, w = model.hydraulic, batch.windows
+
+    def rows(d):
+        rig = put(model.rig, model.names[:n], values[:n] + directions @ d)
+        return jnp.stack([e @ weight.T for e in imbalance(rig, w)])
+
+    def column(e):
+        return jax.jvp(rows, (jnp.zeros(directions.shape[1]),), (e,))
+
+    lacks, by = jax.vmap(column, out_axes=(None, 0))(jnp.eye(directions.shape[1]))
+    swept = jnp.diff(w.x_fine[..., :: w.x_fine.shape[-1] - 1], axis=-1)[..., 0]
+    size = jnp.sqrt(jnp.mean((swept @ weight.T) ** 2))
+    per = jnp.sqrt(batch.weight)[None, :, None] / size
+    stack = jnp.concatenate([by, lacks[None]]) * per
+    return jnp.einsum("icwr,jcwr->ij", stack, stack)

@@ -1,0 +1,70 @@
+"""What a tick's flow balance lacks, against integrals of signals in closed form."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from hydrojax.effects import EFFECTS
+from hydrojax.plant.imbalance import imbalance
+from hydrojax.plant.replay import openings
+from hydrojax.plant.rig import add
+from tests.conftest import CUT, GEOMETRY, REFERENCE, Wave
+
+P_1 = Wave(6e6, np.array([4e5, 2e5]), np.array([60.0, 140.0]), np.array([0.3, 1.0]))
+P_2 = Wave(7e6, np.array([3e5, 2e5]), np.array([75.0, 110.0]), np.array([2.0, 0.1]))
+LEAK = 4e-12
+
+
+def windows(drive):
+    """The drive's windows under pressures in closed form, the valve shut."""
+    w = drive.windows
+    return w._replace(
+        P_a1=jnp.asarray(P_1(w.t)),
+        P_a2=jnp.asarray(P_2(w.t)),
+        u=jnp.zeros_like(w.u),
+        before=jnp.zeros_like(w.before),
+    )
+
+
+@pytest.mark.parametrize("leak", [0.0, LEAK])
+def test_it_is_the_displacement_at_which_the_balance_would_hold(rig, drive, leak):
+    made = drive(substeps=2, jitter=0.2)
+    w = windows(made)
+    own = add(rig, [EFFECTS["internal_leakage"](c_il=leak)])
+    got = np.array(imbalance(own, w))
+    half = GEOMETRY["chamber_length"] / 2
+    t, area = np.asarray(w.t), GEOMETRY["area"]
+    for i, (s, _) in enumerate(CUT):
+        x = made.waves[s]["x"]
+
+        def lacks(t, chamber, x=x):
+            sign = 1 if chamber == 0 else -1
+            P, offset = (P_1, "delta_1") if chamber == 0 else (P_2, "delta_2")
+            length = half + REFERENCE[offset] - sign * x(t)
+            stored = length * P(t, 1) / REFERENCE["beta"]
+            lost = leak * (P_1(t) - P_2(t)) / area
+            return sign * stored - x(t, 1) + lost
+
+        for k in (3, 17, 41):
+            for chamber in (0, 1):
+                want = quad(lacks, t[i, k], t[i, k + 1], (chamber,))[0]
+                # The midpoint rule's own error at these frequencies.
+                assert got[chamber, i, k] == pytest.approx(want, rel=2e-3, abs=2e-9)
+
+
+def test_the_openings_are_those_of_the_command(rig, drive):
+    """A dead band and a delay of two ticks, by hand."""
+    w = drive().windows
+    own = add(
+        rig,
+        [
+            EFFECTS["valve_delay"](tau_u=2e-3),
+            EFFECTS["valve_deadband"](u_dbp=0.1, u_dbn=0.2),
+        ],
+    )
+    up, down = (np.asarray(o).T for o in openings(own, w))
+    late = np.concatenate([w.before, w.u], axis=1)[:, w.before.shape[1] - 2 :]
+    late = late[:, : up.shape[1]]
+    assert np.allclose(up, np.maximum(late - 0.1, 0), atol=1e-12)
+    assert np.allclose(down, np.maximum(-late - 0.2, 0), atol=1e-12)
