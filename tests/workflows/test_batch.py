@@ -197,6 +197,10 @@ def test_what_came_of_every_job_is_a_row(tmp_path):
     assert np.isnan(found["warm"][1]) and pd.isna(found["site"][2])
     assert found["failed"][1] == f"{tmp_path}/log_1.csv: column u: no number in row 7"
     assert found["failed"][2] == "RuntimeError: odd"
+    assert merged.named(tmp_path / "out", 1) == [
+        f"failed: x: {found['failed'][1]}",
+        "failed: 1 more in fleet.parquet",
+    ]
     assert pd.isna(found["failed"][0]) and pd.isna(found["verdict"][1])
     assert found["verdict"][0] == "explained" and found["effects"][0] == "stribeck"
     assert found["parameter.beta"][3] == 1e8 * 10.03
