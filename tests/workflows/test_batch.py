@@ -271,7 +271,7 @@ def test_a_job_beyond_its_time_or_memory_fails_alone(tmp_path):
     failed = pd.read_parquet(out / "fleet.parquet")["failed"].tolist()
     assert failed[1] == "took more than 20 s (--job-seconds)"
     assert "GiB (--job-memory)" in failed[2]
-    assert failed[0] is failed[3] is None
+    assert pd.isna(failed[0]) and pd.isna(failed[3])
     assert calls(tmp_path) == [1, 1, 1, 1]  # no worker tries it again
 
 
