@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, overload
 import numpy as np
 from jaxtyping import Num
 
-from hydrojax.errors import InputError, one_line
-from hydrojax.limits import WORD
+from hydrojax.errors import WORD, InputError, one_line
 
 if TYPE_CHECKING:
     import pint

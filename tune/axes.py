@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from hydrojax.errors import InputError
-from hydrojax.limits import CELLS
+from hydrojax.errors import CELLS, InputError
 from hydrojax.rigfile.quantities import Quantity, find
 
 MAX_AXES = 4

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.parameters import parameter_specs, put
-from hydrojax.report.record import Channel, Parameter, read_report
+from hydrojax.report.record import ChannelRecord, ParameterRecord, read_report
 from hydrojax.rigfile.quantities import Setting
 
 UNVALIDATED = 0.05
@@ -37,7 +37,7 @@ class Findings:
 
     source: Path
     effects: tuple[str, ...]
-    parameters: Mapping[str, Parameter]
+    parameters: Mapping[str, ParameterRecord]
     covariance: tuple[tuple[str, ...], Float[np.ndarray, "n n"]] | None = None
     absent: tuple[str, ...] = ()
     residual: float = UNVALIDATED
@@ -74,7 +74,7 @@ class Findings:
         rig = put(setting.loop.rig, list(found), values)
         return eqx.tree_at(lambda s: s.loop.rig, setting, rig)
 
-    def known(self, setting: Setting) -> dict[str, Parameter]:
+    def known(self, setting: Setting) -> dict[str, ParameterRecord]:
         """Those of the parameters that the setting's rig has.
 
         Raises:
@@ -92,7 +92,7 @@ class Findings:
         return found
 
 
-def _residual(channels: Mapping[str, Channel]) -> float:
+def _residual(channels: Mapping[str, ChannelRecord]) -> float:
     """The largest relative error that validation left; at most all of a signal."""
     shares = []
     for channel in channels.values():

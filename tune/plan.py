@@ -12,8 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.errors import InputError
-from hydrojax.limits import CELLS
+from hydrojax.errors import CELLS, InputError
 from hydrojax.rigfile.fingerprint import code_fingerprint
 from hydrojax.rigfile.quantities import Quantity, Setting
 from hydrojax.tune import linearize, measure, metrics, operating_point

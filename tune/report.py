@@ -49,7 +49,7 @@ def write(t: Tuning, out: Path) -> None:
     """Write tune.json, rig.toml, the pictures and report.html into a folder."""
     shown = []
     for name, (figure, alt, caption) in tuning_pictures(t).items():
-        shown.append(page.Picture(name, page.png(figure, 110), alt, caption))
+        shown.append(page.Picture(name, page.as_png(figure, 110), alt, caption))
     files = {f"{p.name}.png": p.png for p in shown}
     files["rig.toml"] = t.rig.text.encode()
     record = t.json() | {"rig_toml_sha256": digest(files["rig.toml"])}

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from hydrojax.errors import InputError
-from hydrojax.limits import COUNT
+from hydrojax.errors import COUNT, InputError
 from hydrojax.rigfile.quantities import (
     Quantity,
     Setting,

@@ -181,6 +181,12 @@ INLINE void rates(
     *rate_2 = f.stiff_2[at] * (q_2 - t.v);
 }
 
+/* Twice the slopes by which both pressures settle, 1/s. */
+INLINE void settling(Edges e, REAL P_1, REAL P_2, Part t, Stiff f, REAL *b_1, REAL *b_2) {
+    *b_1 = 2 * f.stiff_1[0] * e.c_1 * root_slope((e.up ? t.P_s[0] : t.P_r[0]) - P_1);
+    *b_2 = 2 * f.stiff_2[0] * e.c_2 * root_slope((e.up ? t.P_r[0] : t.P_s[0]) - P_2);
+}
+
 INLINE Stiff stiffness(const Numbers *n, int k, Part t) {
     Stiff f;
     for (int at = 0; at < 2; at++) {
@@ -192,14 +198,16 @@ INLINE Stiff stiffness(const Numbers *n, int k, Part t) {
     return f;
 }
 
-/* The pressures over one part of a period, by the midpoint rule. */
+/* The pressures over one part of a period, by the exponential midpoint rule. */
 INLINE void act(const Numbers *n, State *s, int k, REAL opening, Part t, Stiff f) {
-    REAL P_1 = s->P_1[k], P_2 = s->P_2[k], half = t.h / 2, a_1, a_2;
+    REAL P_1 = s->P_1[k], P_2 = s->P_2[k], half = t.h / 2, a_1, a_2, b_1, b_2;
     Edges e = edges(n, k, opening);
     rates(e, P_1, P_2, t, f, 0, &a_1, &a_2);
-    rates(e, P_1 + half * a_1, P_2 + half * a_2, t, f, 1, &a_1, &a_2);
-    s->P_1[k] = P_1 + t.h * a_1;
-    s->P_2[k] = P_2 + t.h * a_2;
+    settling(e, P_1, P_2, t, f, &b_1, &b_2);
+    REAL m_1 = half * relaxed(b_1 * half) * a_1, m_2 = half * relaxed(b_2 * half) * a_2;
+    rates(e, P_1 + m_1, P_2 + m_2, t, f, 1, &a_1, &a_2);
+    s->P_1[k] = P_1 + t.h * relaxed(b_1 * t.h) * (a_1 + b_1 * m_1);
+    s->P_2[k] = P_2 + t.h * relaxed(b_2 * t.h) * (a_2 + b_2 * m_2);
 }
 
 /* Bristle and filtered speed over one part. */

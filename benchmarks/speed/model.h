@@ -138,6 +138,20 @@ INLINE REAL root_flow(REAL drop) {
                      : (REAL)(drop * quarter_float((float)a));
 }
 
+/* The derivative of `root_flow`. */
+INLINE REAL root_slope(REAL drop) {
+    REAL a = drop * drop + (REAL)4e6, y;
+    if (LANES == 1) y = 1 / root(root(a));
+    else y = IS_DOUBLE ? (REAL)quarter_double((double)a) : (REAL)quarter_float((float)a);
+    return y * ((REAL)0.5 + (REAL)2e6 * (y * y) * (y * y));
+}
+
+/* (1 - e^-z) / z, of third order: the share of a slope that is run along it. */
+INLINE REAL relaxed(REAL z) {
+    REAL beyond = z * ((REAL)0.5 + z * (REAL)(1.0 / 6));
+    return (1 + beyond) / (1 + z * (1 + beyond));
+}
+
 /* The bristle after a displacement. */
 INLINE REAL bristle(REAL z, REAL dx, REAL z_ss, REAL per_z_ss) {
     REAL keep = exponential(-absolute(dx) * per_z_ss);

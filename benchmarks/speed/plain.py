@@ -60,6 +60,14 @@ def root_flow(drop):
 
 
 @jitable
+def root_slope(drop):
+    """The derivative of `root_flow`."""
+    a = drop * drop + CORE
+    per = 1 / math.sqrt(math.sqrt(a))
+    return per * (0.5 + 0.5 * CORE / a)
+
+
+@jitable
 def bristle(z, dx, z_ss):
     """The bristle after a displacement."""
     if dx == 0.0:
@@ -117,16 +125,42 @@ def pressure_rates(p, open_p, open_n, P, line, x, v):
 
 
 @jitable
+def settling_rates(p, open_p, open_n, P, line, x):
+    """Twice the slopes by which the pressures settle, 1/s; see `pressure_rates`."""
+    (P_1, P_2), (P_s, P_r) = P, line
+    b_1 = b_2 = 0.0
+    if open_p > 0:
+        b_1 += open_p * p.d_p1 * root_slope(P_s - P_1)
+        b_2 += open_p * p.d_n2 * root_slope(P_2 - P_r)
+    if open_n > 0:
+        b_1 += open_n * p.d_n1 * root_slope(P_1 - P_r)
+        b_2 += open_n * p.d_p2 * root_slope(P_s - P_2)
+    return 2 * p.beta * b_1 / (p.half_1 - x), 2 * p.beta * b_2 / (p.half_2 + x)
+
+
+@jitable
+def relaxed(z):
+    """The share of a slope that is run along it while it settles: (1 - e^-z) / z."""
+    beyond = z * (1 / 2 + z / 6)
+    return (1 + beyond) / (1 + z * (1 + beyond))
+
+
+@jitable
 def pressure_step(p, open_p, open_n, P, line, middle, x, h):
-    """Both pressures after `h` seconds by the midpoint rule.
+    """Both pressures after `h` seconds by the exponential midpoint rule.
 
     `x` is (start, middle, end); `line` and `middle` are (P_s, P_r) at the first two.
     """
     v = (x[2] - x[0]) / h
     a_1, a_2 = pressure_rates(p, open_p, open_n, P, line, x[0], v)
-    half = P[0] + h / 2 * a_1, P[1] + h / 2 * a_2
+    b_1, b_2 = settling_rates(p, open_p, open_n, P, line, x[0])
+    m_1, m_2 = h / 2 * relaxed(b_1 * h / 2) * a_1, h / 2 * relaxed(b_2 * h / 2) * a_2
+    half = P[0] + m_1, P[1] + m_2
     a_1, a_2 = pressure_rates(p, open_p, open_n, half, middle, x[1], v)
-    return P[0] + h * a_1, P[1] + h * a_2
+    return (
+        P[0] + h * relaxed(b_1 * h) * (a_1 + b_1 * m_1),
+        P[1] + h * relaxed(b_2 * h) * (a_2 + b_2 * m_2),
+    )
 
 
 @jitable

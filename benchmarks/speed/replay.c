@@ -129,7 +129,29 @@ INLINE void rates(
     *rate_2 = stiff * x_1 * (q_2 - v);
 }
 
-/* One group of windows: at each tick the spool, then the midpoint rule in substeps. */
+/* Twice the slopes by which both settle, 1/s. */
+INLINE void settling(
+    const Numbers *n, int lag, REAL open_p, REAL open_n, REAL P_1, REAL P_2, REAL P_s,
+    REAL P_r, REAL x, REAL *b_1, REAL *b_2
+) {
+    if (lag) {
+        *b_1 = n->d_p1 * open_p * root_slope(P_s - P_1)
+             + n->d_n1 * open_n * root_slope(P_1 - P_r);
+        *b_2 = n->d_p2 * open_n * root_slope(P_s - P_2)
+             + n->d_n2 * open_p * root_slope(P_2 - P_r);
+    } else {
+        int up = open_p > 0;
+        REAL size = open_p + open_n;
+        *b_1 = size * (up ? n->d_p1 : n->d_n1) * root_slope((up ? P_s : P_r) - P_1);
+        *b_2 = size * (up ? n->d_n2 : n->d_p2) * root_slope((up ? P_r : P_s) - P_2);
+    }
+    REAL x_1 = n->half_1 - x, x_2 = n->half_2 + x, stiff = 2 * n->beta / (x_1 * x_2);
+    *b_1 *= stiff * x_2;
+    *b_2 *= stiff * x_1;
+}
+
+/* One group of windows: at each tick the spool, then the exponential midpoint rule in
+ * substeps. */
 INLINE void group(const Log *g, const Numbers *numbers, int lag, int first, REAL *out) {
     const Numbers copy = *numbers, *n = &copy;
     const int W = g->windows, substeps = g->substeps;
@@ -157,11 +179,15 @@ INLINE void group(const Log *g, const Numbers *numbers, int lag, int first, REAL
                 REAL s = P_s[k] + part * ds, b = P_r[k] + part * db;
                 rates(n, lag, open_p[k], open_n[k], P_1[k], P_2[k], s, b, x[k], v,
                       &a_1, &a_2);
-                rates(n, lag, open_p[k], open_n[k], P_1[k] + step / 2 * a_1,
-                      P_2[k] + step / 2 * a_2, s + per * ds, b + per * db, x[W + k], v,
-                      &a_1, &a_2);
-                P_1[k] += step * a_1;
-                P_2[k] += step * a_2;
+                REAL b_1, b_2, half = step / 2;
+                settling(n, lag, open_p[k], open_n[k], P_1[k], P_2[k], s, b, x[k], &b_1,
+                         &b_2);
+                REAL m_1 = half * relaxed(b_1 * half) * a_1;
+                REAL m_2 = half * relaxed(b_2 * half) * a_2;
+                rates(n, lag, open_p[k], open_n[k], P_1[k] + m_1, P_2[k] + m_2,
+                      s + per * ds, b + per * db, x[W + k], v, &a_1, &a_2);
+                P_1[k] += step * relaxed(b_1 * step) * (a_1 + b_1 * m_1);
+                P_2[k] += step * relaxed(b_2 * step) * (a_2 + b_2 * m_2);
             }
         }
         OVER_LANES(k) {

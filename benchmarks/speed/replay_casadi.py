@@ -44,6 +44,26 @@ def _rates(n: SimpleNamespace, P: ca.SX, opening: ca.SX, line: ca.SX, x, v) -> c
     return n.beta * ca.vertcat(rate_1, rate_2)
 
 
+def _root_slope(drop: ca.SX) -> ca.SX:
+    a = drop * drop + LAMINAR_CORE**2
+    return (0.5 + 0.5 * LAMINAR_CORE**2 / a) / ca.sqrt(ca.sqrt(a))
+
+
+def _settling(n: SimpleNamespace, P: ca.SX, opening: ca.SX, line: ca.SX, x) -> ca.SX:
+    """Twice the slopes by which the pressures settle, 1/s."""
+    b_1 = n.d_p1 * opening[0] * _root_slope(line[0] - P[0])
+    b_1 += n.d_n1 * opening[1] * _root_slope(P[0] - line[1])
+    b_2 = n.d_p2 * opening[1] * _root_slope(line[0] - P[1])
+    b_2 += n.d_n2 * opening[0] * _root_slope(P[1] - line[1])
+    return 2 * n.beta * ca.vertcat(b_1 / (n.half_1 - x), b_2 / (n.half_2 + x))
+
+
+def _relaxed(z: ca.SX) -> ca.SX:
+    """(1 - e^-z) / z, of third order."""
+    beyond = z * (1 / 2 + z / 6)
+    return (1 + beyond) / (1 + z * (1 + beyond))
+
+
 def _tick(begun: Numbers, substeps: int) -> ca.Function:
     """(P, given, params) -> P after a tick; `given` is (openings, h, lines, places)."""
     params, n = _symbols(begun)
@@ -54,8 +74,10 @@ def _tick(begun: Numbers, substeps: int) -> ca.Function:
     for k in range(0, 2 * substeps, 2):
         at, later = (line + (k + i) / (2 * substeps) * gone for i in (0, 1))
         v = (x[k + 2] - x[k]) / h
-        half = P + h / 2 * _rates(n, P, opening, at, x[k], v)
-        P = P + h * _rates(n, half, opening, later, x[k + 1], v)
+        settling = _settling(n, P, opening, at, x[k])
+        moved = _rates(n, P, opening, at, x[k], v) * h / 2 * _relaxed(settling * h / 2)
+        rate = _rates(n, P + moved, opening, later, x[k + 1], v)
+        P = P + h * _relaxed(settling * h) * (rate + settling * moved)
     return ca.Function("tick", [first, given, params], [P])
 
 

@@ -75,7 +75,7 @@ def batch(
         raise InputError(f"invalid --command {command!r}: expected identify or trace")
     set_up_jax(user_cache())
     load_effects(effects)
-    from hydrojax.workflows.fleet.local import Limits
+    from hydrojax.workflows.fleet.local import JobLimits
     from hydrojax.workflows.fleet.merged import named
     from hydrojax.workflows.fleet.run import Stopped, run_fleet
     from hydrojax.workflows.fleet.work import Options
@@ -88,7 +88,7 @@ def batch(
         with counted(command) as progress:
             ran = run_fleet(
                 jobs, out, options, workers, cluster, progress,
-                limits=Limits(job_seconds, int(job_memory * 2**30)),
+                limits=JobLimits(job_seconds, int(job_memory * 2**30)),
             )  # fmt: skip
     except Stopped as stop:
         errors.print(

@@ -34,9 +34,8 @@ from hydrojax.cli.options import (
     load_effects,
     show_progress,
 )
-from hydrojax.errors import one_line
+from hydrojax.errors import TEXT, one_line
 from hydrojax.jax_setup import set_up_jax, user_cache
-from hydrojax.limits import TEXT
 
 if TYPE_CHECKING:
     from hydrojax.identify.result import Result

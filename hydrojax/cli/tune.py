@@ -27,7 +27,7 @@ from hydrojax.cli.words import read_axes, read_gains, read_point
 from hydrojax.errors import InputError, check_known
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 from hydrojax.report.files import settle, write_all
-from hydrojax.report.page import png
+from hydrojax.report.page import as_png
 
 if TYPE_CHECKING:
     from hydrojax.tune.aims import Aim as AnyAim
@@ -150,7 +150,7 @@ def sweep(
             share_sweep(file, arguments, effects or (), out, cluster, progress)
         data = api.sweep(file, **arguments, out=out, progress=progress)
     drawn = plots.sweep_figures(data).items()
-    write_all(out, {f"{name}.png": png(figure, 120) for name, figure in drawn})
+    write_all(out, {f"{name}.png": as_png(figure, 120) for name, figure in drawn})
     for line in sentences(data):
         console.print(line)
     console.print(f"sweep.nc and pictures in {out}")

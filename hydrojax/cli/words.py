@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydrojax import units
-from hydrojax.errors import InputError
-from hydrojax.limits import COUNT
+from hydrojax.errors import COUNT, InputError
 
 
 def read_axes(words: Sequence[str]) -> dict[str, list[float | str]]:

@@ -20,8 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hydrojax import units
-from hydrojax.errors import InputError
-from hydrojax.limits import TEXT, read_text
+from hydrojax.errors import TEXT, InputError, file_text
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.places import PLACES
@@ -50,7 +49,7 @@ def load_effects(
             cannot be taken; in one line, with the mend.
     """
     path = Path(path)
-    text = read_text(path, TEXT, "check that --effects names a Python file")
+    text = file_text(path, TEXT, "check that --effects names a Python file")
     source = str(path.resolve())
     module = ModuleType(f"hydrojax_own_{path.stem}")
     module.__file__ = source

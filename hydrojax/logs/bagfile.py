@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hydrojax.errors import InputError
-from hydrojax.limits import SPARED
+from hydrojax.errors import SPARED, InputError
 from hydrojax.logs.tables import unreadable
 
 if TYPE_CHECKING:

@@ -19,8 +19,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from hydrojax.errors import InputError, one_line
-from hydrojax.limits import WORD
+from hydrojax.errors import WORD, InputError, one_line
 from hydrojax.logs.columns import (
     assigned,
     check_time,

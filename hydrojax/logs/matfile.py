@@ -17,8 +17,7 @@ import h5py
 import numpy as np
 import scipy.io
 
-from hydrojax.errors import InputError
-from hydrojax.limits import MEMBERS, WORD, check_expansion, check_members
+from hydrojax.errors import MEMBERS, WORD, InputError, check_expansion, check_members
 
 DEEPEST = 4
 """Structs and cells within each other; a log has variables, in a struct, at most."""

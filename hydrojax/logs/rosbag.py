@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hydrojax.errors import InputError, one_line
-from hydrojax.limits import WORD
+from hydrojax.errors import WORD, InputError, one_line
 from hydrojax.logs.bagfile import Bag, open_bag
 from hydrojax.logs.clocks import Stream
 from hydrojax.logs.resample import on_one_base

@@ -15,8 +15,7 @@ import pandas as pd
 from pydantic import BaseModel, ConfigDict
 
 from hydrojax import units
-from hydrojax.errors import InputError, one_line
-from hydrojax.limits import WORD, check_expansion, check_members
+from hydrojax.errors import WORD, InputError, check_expansion, check_members, one_line
 from hydrojax.logs.matfile import read_mat
 from hydrojax.logs.texts import Head, head_of, read_text
 

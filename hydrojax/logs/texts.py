@@ -19,8 +19,7 @@ import numpy as np
 import pandas as pd
 
 from hydrojax import units
-from hydrojax.errors import InputError
-from hydrojax.limits import BoundedGzip
+from hydrojax.errors import BoundedGzip, InputError
 
 _SAMPLE = 1 << 18
 """Bytes of a file that decide how it is read."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from hydrojax.errors import InputError
 from hydrojax.report.page import page
-from hydrojax.report.record import Channel, Parameter, Report, read_report
+from hydrojax.report.record import ChannelRecord, ParameterRecord, Report, read_report
 from hydrojax.report.text import quantity_text
 
 APART = 3.0
@@ -119,7 +119,7 @@ def _names(tables: Sequence[Mapping[str, Any]]) -> list[str]:
     return list(dict.fromkeys(name for table in tables for name in table))
 
 
-def _unit(name: str, sides: Sequence[Channel | Parameter | None]) -> str:
+def _unit(name: str, sides: Sequence[ChannelRecord | ParameterRecord | None]) -> str:
     """The unit that both have.
 
     Raises:

@@ -30,7 +30,7 @@ class Picture:
         return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
 
 
-def png(figure: Figure, dpi: int) -> bytes:
+def as_png(figure: Figure, dpi: int) -> bytes:
     """A figure as a PNG file, in the style that is set."""
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=dpi)

@@ -14,8 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic import model_validator as checked
 
 from hydrojax import units
-from hydrojax.errors import InputError, one_line
-from hydrojax.limits import COUNT, REPORT, WORD, read_text
+from hydrojax.errors import COUNT, REPORT, WORD, InputError, file_text, one_line
 from hydrojax.report.files import settle
 
 FORMAT = "hydrojax-report/1"
@@ -48,7 +47,7 @@ class Part(BaseModel):
     )
 
 
-class Parameter(Part):
+class ParameterRecord(Part):
     """A parameter; SI. `value` is None where it is infinite, `std` where not fitted."""
 
     value: float | None
@@ -56,42 +55,42 @@ class Parameter(Part):
     unit: Unit
 
 
-class Errors(Part):
+class ErrorsRecord(Part):
     """An error of a channel, and that of its value held; SI."""
 
     after: float | None = Field(ge=0)
     held: float | None = Field(default=None, ge=0)
 
 
-class Channel(Errors):
+class ChannelRecord(ErrorsRecord):
     """The error of a channel; where there are test logs, that on the others besides."""
 
     unit: Unit
-    validate_: Errors | None = Field(default=None, alias="validate")
+    validate_: ErrorsRecord | None = Field(default=None, alias="validate")
 
 
-class Candidate(Part):
+class CandidateRecord(Part):
     """What became of a candidate."""
 
     name: Name
     status: str
 
 
-class Effect(Part):
+class EffectRecord(Part):
     """An effect that was found."""
 
     name: Name
-    parameters: dict[Name, Parameter]
+    parameters: dict[Name, ParameterRecord]
 
 
-class Covariance(Part):
+class CovarianceRecord(Part):
     """Covariance of the fitted parameters; SI."""
 
     names: list[Name] = Field(max_length=COUNT)
     matrix: list[list[float]]
 
     @checked(mode="after")
-    def _is_one(self) -> Covariance:
+    def _is_one(self) -> CovarianceRecord:
         count = len(self.names)
         rows = [len(row) for row in self.matrix]
         if len(set(self.names)) < count or rows != [count] * count:
@@ -107,7 +106,7 @@ class Covariance(Part):
         return self
 
 
-class Logs(Part):
+class LogsRecord(Part):
     """Names of the logs."""
 
     fit: list[str] = []
@@ -120,17 +119,17 @@ class Report(Part):
 
     format: Literal["hydrojax-report/1"]
     rig: str = ""
-    logs: Logs = Logs()
+    logs: LogsRecord = LogsRecord()
     verdict: str = ""
     sentence: str = ""
-    parameters: dict[Name, Parameter]
-    channels: dict[Name, Channel] = {}
-    effects: list[Effect]
-    candidates: list[Candidate] = []
-    covariance: Covariance | None = None
+    parameters: dict[Name, ParameterRecord]
+    channels: dict[Name, ChannelRecord] = {}
+    effects: list[EffectRecord]
+    candidates: list[CandidateRecord] = []
+    covariance: CovarianceRecord | None = None
 
     @property
-    def every_parameter(self) -> dict[str, Parameter]:
+    def every_parameter(self) -> dict[str, ParameterRecord]:
         """Those of the rig, and those of the effects as `valve_lag.tau`."""
         found = dict(self.parameters)
         for effect in self.effects:
@@ -158,7 +157,7 @@ def read_report(folder: str | Path) -> Report:
                 "trace has written (--out)"
             )
         settle(folder)
-    text = read_text(path, REPORT, "expected the report.json of identify or trace")
+    text = file_text(path, REPORT, "expected the report.json of identify or trace")
     try:
         return Report.model_validate_json(text)
     except ValidationError as err:

@@ -20,8 +20,7 @@ from hydrojax.control.inputs import (
 )
 from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import Trajectory, make_scenario
-from hydrojax.errors import InputError
-from hydrojax.limits import SAMPLES
+from hydrojax.errors import SAMPLES, InputError
 from hydrojax.logs.log import Log
 from hydrojax.rigfile.recording import duration, log_path, longest
 from hydrojax.rigfile.schema import RigFile

@@ -9,8 +9,7 @@ from typing import Any
 
 from hydrojax import units
 from hydrojax.control.base import AbstractController
-from hydrojax.errors import InputError, check_known, one_line
-from hydrojax.limits import TEXT, WORD, read_text
+from hydrojax.errors import TEXT, WORD, InputError, check_known, file_text, one_line
 from hydrojax.logs.tables import SIGNALS, Channel
 from hydrojax.parameters import Spec
 from hydrojax.plant.layout import LAYOUTS, Layout
@@ -95,7 +94,7 @@ class RigFile:
         Raises:
             InputError: the file cannot be read, or see `from_text`.
         """
-        text = read_text(Path(path), TEXT, "a rig file is a small file of text")
+        text = file_text(Path(path), TEXT, "a rig file is a small file of text")
         return cls.from_text(text, str(path), valve)
 
     @classmethod

@@ -12,8 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from hydrojax import units
 from hydrojax.effects import EFFECTS, offered
-from hydrojax.errors import InputError, check_known, one_line
-from hydrojax.limits import WORD
+from hydrojax.errors import WORD, InputError, check_known, one_line
 from hydrojax.logs.tables import Channel
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.chambers import Chambers

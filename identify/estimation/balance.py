@@ -139,13 +139,18 @@ def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
     return Linear.of(problem, values, columns, np.array(gram))
 
 
+def in_brief(problem: Problem) -> Problem:
+    """The problem on as many windows as balances are fitted on."""
+    ticks = problem.batch.windows.u.shape[1]
+    most = max(problem.criteria.balance_ticks // ticks, 1)
+    return replace(problem, batch=thinned(problem.batch, most))
+
+
 def balanced(problem: Problem, values: Values, free: Sequence[str]) -> Values:
     """The values at which the declared model's own balances fit best, or those given
     if there a replay is nearer to what was measured.
     """
-    few = replace(
-        problem, batch=thinned(problem.batch, problem.criteria.balance_windows)
-    )
+    few = in_brief(problem)
 
     def evaluate(values: Values, free: Sequence[str]) -> Linear:
         return balance_at(few, values, free)

@@ -74,7 +74,9 @@ def estimate_uncertainty(
             unidentifiable.append(name)
         if s > 0.01 * problem.criteria.unseen_std * scale[i]:
             std[name] = None
-    limits = [_at_end(name, end) for name, end in ends.items()]
+    limits = [
+        _at_end(name, end, problem.free[name].lower) for name, end in ends.items()
+    ]
     if unidentifiable:
         limits += _in_words(unidentifiable, inside, H, problem.criteria)
     return Uncertainty(
@@ -119,7 +121,9 @@ def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]
     return strong @ (few * s.T @ s) @ strong + nothing, H
 
 
-def _at_end(name: str, end: str) -> str:
+def _at_end(name: str, end: str, lower: float) -> str:
+    if end == "lower" and lower == 0.0:
+        return f"{name} ended at 0: these logs show none of it"
     return (
         f"{name} hit the {end} limit of its range; widen the range. No standard "
         "deviation is given there"

@@ -65,7 +65,7 @@ RANKED = 24
 def png(figure: Figure, dpi: int = 160) -> bytes:
     """The picture as a PNG file."""
     with rc_context(STYLE):
-        return page.png(figure, dpi)
+        return page.as_png(figure, dpi)
 
 
 def styled(

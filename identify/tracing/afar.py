@@ -18,6 +18,7 @@ from hydrojax.identify.estimation.balance import (
     Linear,
     balance_at,
     descend,
+    in_brief,
 )
 from hydrojax.identify.estimation.columns import basis, slot_names
 from hydrojax.identify.estimation.problem import Problem
@@ -83,9 +84,7 @@ def from_afar(
 def _balances(state: Tracing, effects: Mapping[str, Effect]) -> _Search | None:
     """Effects that act on the pressures, where these are measured."""
     own = state.criteria
-    few = replace(
-        state.problem, batch=thinned(state.problem.batch, own.balance_windows)
-    )
+    few = in_brief(state.problem)
     upstream = {
         name: [*shape_starts(e), *nonlocal_starts(e)]
         for name, e in effects.items()

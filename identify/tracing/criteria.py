@@ -59,9 +59,9 @@ class Criteria:
     far_steps: int = 5
     """Steps of these fits, count: they rank the starts and need not end. As
     `far_starts`."""
-    balance_windows: int = 128
-    """Windows whose flow balances are fitted where one looks for starts, count: time
-    against information."""
+    balance_ticks: int = 8000
+    """Ticks whose flow balances are fitted to look for starts, count: in windows
+    spread over the logs: time against information."""
     outdone: float = 5.0
     """Times what the best start leaves of the balances from which another candidate is
     not refitted once the best has helped, 1: time. `benchmarks.trace`."""

@@ -15,7 +15,7 @@ from benchmarks.speed.children import Children, Failed, Program
 from benchmarks.speed.measured import Section, agrees, compare, measure, quickest
 from benchmarks.speed.replays import NAMES
 
-GUARD = 3.0
+GUARD = 2.0
 """How many times scalar C on one thread a batch of 256 may take. It took 0.2 of it when
 this was written, on the default flags 0.4: what breaks this is a scan that computes its
 body again for each output, or copies its outputs at every step."""

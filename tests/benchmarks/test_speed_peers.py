@@ -29,10 +29,6 @@ from hydrojax.rigfile.schema import RigFile
 
 H, SAMPLES, LANES = 1e-3, 2000, 19
 
-INTEGRATED = 1e-4
-"""How far peers may be off: they step the pressures by the explicit midpoint rule, the
-simulator by the exponential one of the same order."""
-
 needs_c = pytest.mark.skipif(build_c.compiler() is None, reason="no C compiler")
 
 C_PEERS = [("double", 1), ("double", 8), ("double", 32)]
@@ -168,8 +164,8 @@ def test_the_cases_are_alive(reference, many, odd):
 def test_c_is_the_simulator(request, name, real, lanes):
     case = request.getfixturevalue(name)
     found, got = peers_c.prepare(case.loop, case.scenario, real, lanes, 2, True)()
-    assert off(got, np.atleast_3d(case.want).reshape(got.shape)) < INTEGRATED
-    assert np.allclose(found, rms(case), rtol=INTEGRATED)
+    assert off(got, np.atleast_3d(case.want).reshape(got.shape)) < 1e-9
+    assert np.allclose(found, rms(case), rtol=1e-9)
 
 
 def test_lanes_for_a_batch():
@@ -205,8 +201,8 @@ def test_numba_is_the_simulator(reference, many, odd):
 
     for case in (reference, many, odd):
         found, got = peers_numba.prepare(case.loop, case.scenario, 2, True)()
-        assert off(got, np.atleast_3d(case.want).reshape(got.shape)) < INTEGRATED
-        assert np.allclose(found, rms(case), rtol=INTEGRATED)
+        assert off(got, np.atleast_3d(case.want).reshape(got.shape)) < 1e-9
+        assert np.allclose(found, rms(case), rtol=1e-9)
 
 
 def apart(F: np.ndarray, want: np.ndarray) -> float:
@@ -282,7 +278,7 @@ def hold(got: np.ndarray, J: np.ndarray, within: float):
 def test_c_is_the_replay(replayed, lanes):
     given, params, want, J = replayed
     peer = replay_c.prepare(given, lanes, 2)
-    assert off(peer.replay(params), want) < INTEGRATED
+    assert off(peer.replay(params), want) < 1e-9
     hold(peer.jacobian(params), J, 1e-5)
 
 
@@ -292,7 +288,7 @@ def test_numba_is_the_replay(replayed):
 
     given, params, want, J = replayed
     peer = replay_numba.prepare(given, 2)
-    assert off(peer.replay(params), want) < INTEGRATED
+    assert off(peer.replay(params), want) < 1e-9
     hold(peer.jacobian(params), J, 1e-5)
 
 
@@ -303,8 +299,8 @@ def test_casadi_is_the_replay(replayed):
     given, params, want, J = replayed
     for threads in (1, 2):
         peer = replay_casadi.prepare(given, threads)
-        assert off(peer.replay(params), want) < INTEGRATED
-        hold(peer.jacobian(params), J, INTEGRATED)
+        assert off(peer.replay(params), want) < 1e-9
+        hold(peer.jacobian(params), J, 1e-9)
 
 
 def test_replays_that_the_peers_have_not_are_refused(rig, drive):

@@ -83,6 +83,15 @@ def test_a_sensor_that_stands_and_one_that_clips(honest):
     assert {("F", "stuck"), ("P_a1", "clipped")} <= said
 
 
+def test_pressures_that_no_oil_has_are_said_first(honest):
+    """Some -5 MPa of gauge pressure: no answer comes without a word on it."""
+    rig, (log, other) = honest
+    bad = replace(log, signals=log.signals | {"P_a1": log.signals["P_a1"] - 12e6})
+    found = hj.check(rig, [bad, other])
+    assert bad.signals["P_a1"].max() < -1e6
+    assert found.sentence.startswith("P_a1 ")
+
+
 def test_what_is_written(honest, tmp_path):
     rig, logs = honest
     text, lied = TOLD["u turned round"].told(rig.text, logs)

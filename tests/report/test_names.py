@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from hydrojax.cli.options import console
 from hydrojax.errors import InputError, one_line
-from hydrojax.report.page import png
+from hydrojax.report.page import as_png
 from hydrojax.report.text import in_picture
 
 HARM = [r"$\frac{$", "$", "$$", r"a $\foo$ b", r"\$", "a_b^{c", "[/x]", "[bold]", ":x:"]
@@ -21,7 +21,7 @@ HARM = [r"$\frac{$", "$", "$$", r"a $\foo$ b", r"\$", "a_b^{c", "[/x]", "[bold]"
 def test_a_picture_takes_any_name(name):
     figure = Figure(figsize=(1, 1))
     figure.suptitle(in_picture(name))
-    assert png(figure, 20).startswith(b"\x89PNG")
+    assert as_png(figure, 20).startswith(b"\x89PNG")
 
 
 def test_pictures_escape_the_names_of_rigs_and_logs():

@@ -34,7 +34,7 @@ from hydrojax.tune import api, sweep
 from hydrojax.workflows.fleet import friction, merged, summary, sweeps
 from hydrojax.workflows.fleet import run as running
 from hydrojax.workflows.fleet.jobs import read_jobs
-from hydrojax.workflows.fleet.local import Limits
+from hydrojax.workflows.fleet.local import JobLimits
 from hydrojax.workflows.fleet.report import controller_lines
 from hydrojax.workflows.fleet.run import Ran, Stopped, run_fleet
 from hydrojax.workflows.fleet.work import Options
@@ -197,6 +197,10 @@ def test_what_came_of_every_job_is_a_row(tmp_path):
     assert np.isnan(found["warm"][1]) and pd.isna(found["site"][2])
     assert found["failed"][1] == f"{tmp_path}/log_1.csv: column u: no number in row 7"
     assert found["failed"][2] == "RuntimeError: odd"
+    assert merged.named(tmp_path / "out", 1) == [
+        f"failed: x: {found['failed'][1]}",
+        "failed: 1 more in fleet.parquet",
+    ]
     assert pd.isna(found["failed"][0]) and pd.isna(found["verdict"][1])
     assert found["verdict"][0] == "explained" and found["effects"][0] == "stribeck"
     assert found["parameter.beta"][3] == 1e8 * 10.03
@@ -262,12 +266,12 @@ def test_a_job_beyond_its_time_or_memory_fails_alone(tmp_path):
     logs[1]["seconds"] = 600.0
     logs[2]["holds"] = 1200 * 2**20
     table, out = fleet(tmp_path, logs), tmp_path / "out"
-    limits = Limits(seconds=8.0, memory=1000 * 2**20)
+    limits = JobLimits(seconds=20.0, memory=1000 * 2**20)
     assert pretended(table, out, limits=limits) == Ran(4, 4, 2, True)
     failed = pd.read_parquet(out / "fleet.parquet")["failed"].tolist()
-    assert failed[1] == "took more than 8 s (--job-seconds)"
+    assert failed[1] == "took more than 20 s (--job-seconds)"
     assert "GiB (--job-memory)" in failed[2]
-    assert failed[0] is failed[3] is None
+    assert pd.isna(failed[0]) and pd.isna(failed[3])
     assert calls(tmp_path) == [1, 1, 1, 1]  # no worker tries it again
 
 

@@ -33,7 +33,7 @@ TRIES = 3
 
 
 @dataclass(frozen=True)
-class Limits:
+class JobLimits:
     """What one task may take.
 
     Attributes:
@@ -55,7 +55,7 @@ def share_out(
     log: Path,
     progress: Progress,
     most: int = MEMORY,
-    limits: Limits = Limits(),
+    limits: JobLimits = JobLimits(),
 ) -> None:
     """Have every task done by one of some worker processes.
 
@@ -176,7 +176,7 @@ class _Lane(threading.Thread):
         while not over.wait(LOOK):
             if time.monotonic() - began > most.seconds:
                 self.exceeded = f"took more than {most.seconds:g} s (--job-seconds)"
-            elif held(process.pid) > most.memory:
+            elif resident(process.pid) > most.memory:
                 size = most.memory / 2**30
                 self.exceeded = f"took more than {size:g} GiB (--job-memory)"
             if self.exceeded:
@@ -205,7 +205,7 @@ class _Lane(threading.Thread):
         return code
 
 
-def held(pid: int) -> int:
+def resident(pid: int) -> int:
     """Bytes that a process holds; 0 where the system does not say."""
     with suppress(OSError, ValueError, IndexError):
         pages = Path(f"/proc/{pid}/statm").read_text().split()[1]

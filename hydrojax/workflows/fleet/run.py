@@ -60,7 +60,7 @@ def run_fleet(
     progress: Progress | None = None,
     solver: str = SOLVER,
     report: bool = True,
-    limits: local.Limits = local.Limits(),
+    limits: local.JobLimits = local.JobLimits(),
 ) -> Ran:
     """Do what is left of a table of jobs, and write its one table of results.
 
@@ -148,7 +148,7 @@ def _tasks(
 
 def _work(
     tasks: Iterator[Task], left: int, total: int, out: Path, workers: int,
-    cluster: str, progress: Progress | None, limits: local.Limits,
+    cluster: str, progress: Progress | None, limits: local.JobLimits,
 ) -> int:  # fmt: skip
     """Have tasks done; how many were."""
     done = 0

@@ -1,0 +1,135 @@
+"""Flow balances at the measured pressures: where a fit begins, and which effect is
+worth to begin with.
+
+The logs are those of machines recorded by a plant that shares no code with this one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydrojax.identify.api import applicable
+from hydrojax.identify.case import Case, Preparation
+from hydrojax.identify.estimation.balance import balance_at, balanced, descend
+from hydrojax.identify.estimation.fit import FitPoint
+from hydrojax.identify.estimation.problem import (
+    Problem,
+    free_effect,
+    free_parameters,
+)
+from hydrojax.identify.preparation.data import prepare_logs
+from hydrojax.identify.tracing.afar import _balances, _found
+from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.identify.tracing.state import Tracing
+from hydrojax.logs.log import Log
+from hydrojax.parameters import specs
+from hydrojax.rigfile.build import build_rig, effects_of
+from hydrojax.rigfile.schema import RigFile
+from tests.pages import ROOT
+
+DATA = ROOT.parent / "shared" / "data"
+
+MACHINES = {
+    "machine_01": (
+        "valve_deadband",
+        {"u_dbp": (0.0610, 0.03), "u_dbn": (0.1245, 0.03)},
+    ),
+    "machine_04": ("flow_curve", {"k": (0.9, 0.1), "p": (2.63, 0.1)}),
+}
+"""What each lacks, and values (with relative tolerances) near which a search ends; the
+fits of whole logs that follow agree with these."""
+
+
+@pytest.fixture(scope="module", params=MACHINES)
+def machine(request) -> tuple[str, Tracing]:
+    """A machine and the state of its trace before anything is fitted."""
+    folder = DATA / request.param
+    if not folder.exists():
+        pytest.skip("the machines' logs are not here")
+    return request.param, state_of(folder)
+
+
+def state_of(folder: Path) -> Tracing:
+    spec = RigFile.load(folder / "rig.toml")
+    logs = tuple(Log.load(folder / f"fit_{i}.csv") for i in (1, 2))
+    data = prepare_logs(logs, spec)
+    way = Preparation(spec, 0.25, data.noise, 1.0, data.band, Criteria())
+    case = Case(spec, data, data, logs, logs, False, way)
+    names = [n for n in applicable(case) if n not in spec.effects]
+    effects = effects_of(names, spec)
+    free = free_parameters(spec)
+    known = dict(free)
+    for name in names:
+        known |= free_effect(name, specs(effects[name]))
+    problem = Problem.of(build_rig(spec, names), known, data)
+    point = FitPoint(problem.initial_values(), data.noise, 0, True)
+    return Tracing(problem, problem, effects, tuple(free), point, print)
+
+
+def test_the_missing_effect_stands_out(machine):
+    """It leaves less than a hundredth of the balances' squares, the next at least ten
+    times that; and stands near where the fit of whole logs ends.
+    """
+    name, state = machine
+    wanted, values = MACHINES[name]
+    search = _balances(state, state.effects)
+    assert search is not None
+    found = _found(state, state.effects, search)
+    left = {n: min(f.left for f in fits) for n, fits in found.items()}
+    order = sorted(left, key=lambda n: left[n])
+    assert order[0] == wanted
+    assert left[wanted] < 0.01 * search.here < 0.1 * left[order[1]]
+    best = min(found[wanted], key=lambda f: f.left)
+    for field, (value, rel) in values.items():
+        at = state.problem.model.names.index(f"{wanted}.{field}")
+        assert best.values[at] == pytest.approx(value, rel=rel)
+
+
+def test_what_does_not_act_on_the_pressures_is_left_to_the_replay(machine):
+    search = _balances(machine[1], machine[1].effects)
+    assert search is not None
+    assert "pressure_sensor_lag" in machine[1].effects
+    assert not {"pressure_sensor_lag", "signal_filter"} & set(search.effects)
+
+
+def test_the_sensitivities_are_differences(machine):
+    """The gradient of the sum of squares, along every free parameter."""
+    problem, free = machine[1].problem, machine[1].free
+    at = balance_at(problem, machine[1].point.values, free)
+    scale = problem.model.scale[at.where]
+    for k, i in enumerate(at.where):
+        step = np.zeros(at.values.size)
+        step[i] = 1e-5 * scale[k]
+        ends = [
+            balance_at(problem, v, free).left
+            for v in (at.values + step, at.values - step)
+        ]
+        assert 2 * at.gram[k, -1] == pytest.approx(
+            (ends[0] - ends[1]) / 2e-5, rel=2e-3, abs=1e-4 * at.left
+        )
+
+
+def test_a_descent_stays_in_the_ranges_and_lowers_the_squares(machine):
+    problem, free = machine[1].problem, machine[1].free
+
+    def evaluate(values, free):
+        return balance_at(problem, values, free)
+
+    first = evaluate(machine[1].point.values, free)
+    last = descend(problem, evaluate, first, free, 4)
+    assert last.left < 0.5 * first.left
+    for name in free:
+        f, value = problem.free[name], last.values[problem.model.names.index(name)]
+        assert f.lower <= value <= f.upper
+
+
+def test_where_the_replay_is_worse_the_given_values_stay(machine):
+    """The better of two starts by the replay, whichever the balances give."""
+    problem, free = machine[1].problem, machine[1].free
+    given = machine[1].point.values
+    got = balanced(problem, given, free)
+    errors = [np.sum(problem.errors_at(v)[:, :2]) for v in (given, got)]
+    assert errors[1] <= errors[0]
