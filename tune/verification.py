@@ -120,7 +120,7 @@ def run_trials(
     ]
 
 
-_bands = program(
+bands = program(
     jax.vmap(
         lambda hertz, H, off: (
             metrics.band_within(hertz, H),
@@ -138,16 +138,16 @@ def _tried(
 ) -> Tried:  # fmt: skip
     t, h = objective.trials, float(objective.setting.loop.h)
     F, u = table[..., 0], table[..., 1]
-    bands, peaks = [], []
+    found, peaks = [], []
     for k in (trials.RESPONSE, trials.RESPONSE_SMALL):
         with np.errstate(over="ignore", invalid="ignore"):
             H = trials.response_of(t, k, F[k])
         alive = np.isfinite(H).all(-1) & np.isfinite(F[k]).all(-1)
         H = np.where(alive[:, None], H, 1e9)
-        each = _bands(t.given.hertz, H, tolerance - np.abs(1 - H))
-        bands.append([np.where(alive, np.minimum(b, most), 0.0) for b in each])
+        each = bands(t.given.hertz, H, tolerance - np.abs(1 - H))
+        found.append([np.where(alive, np.minimum(b, most), 0.0) for b in each])
         peaks.append(metrics.decibels(H).max(-1))
-    within, lag, follows = np.min(bands, axis=0)
+    within, lag, follows = np.min(found, axis=0)
     eigenvalue, late, noise = _stability(objective, gains)
     swings = np.array([trials.oscillation(t, k, F[k], h) for k in range(len(F))])
     enough = np.maximum(trials.SHARE * t.amplitude[:, None], trials.NOISES * noise)

@@ -33,7 +33,8 @@ class Response:
     """|F/F_d| in dB by white noise, with its coherence, and by single sines.
 
     `hertz` are the sines' frequencies; `noise_hertz`, `noise_dB`, `coherence`
-    the noise's. `alone_dB` is of sines without the noise beneath them.
+    the noise's. `alone_dB` is of sines without the noise beneath them. `by_bounds` is
+    up to where the response to noise stays within 1 dB, Hz, by the bounds of k_f.
     """
 
     hertz: Float[np.ndarray, "n"]
@@ -42,6 +43,7 @@ class Response:
     noise_hertz: Float[np.ndarray, "m"]
     noise_dB: Float[np.ndarray, "m"]
     coherence: Float[np.ndarray, "m"]
+    by_bounds: dict[str, float]
 
     def at(self, values: Float[np.ndarray, "m"]) -> Float[np.ndarray, "n"]:
         """Values over the noise's frequencies, at those of the sines."""

@@ -90,6 +90,11 @@ def test_fig_5_reaches_20_hz_by_both_excitations(found):
     assert np.max(np.abs(noise - sines)[sure]) < 0.5
     for gain in (noise, sines):
         assert np.all(np.abs(gain[hertz <= 20]) <= 1)
+    by_bounds = fig5["within_1dB_to_Hz_noise_by_bounds_of_k_f"]
+    assert by_bounds.keys() == experiments.BOUNDS.keys()
+    shipped, narrow, held, _ = by_bounds.values()
+    # The wider the bounds, the more the noise itself widens the band.
+    assert shipped == fig5["within_1dB_to_Hz_noise"] > narrow > held
     assert experiments.within(hertz, sines) == fig5["within_1dB_to_Hz_sines"]
 
 
