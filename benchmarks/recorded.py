@@ -67,6 +67,8 @@ def main(data: str, *names: str) -> None:
             ),
             f"{time.perf_counter() - began:.0f}",
         )
+        named = ", ".join(e.name for e in outcome.effects) or "nothing"
+        console.print(f"{folder.name}: {outcome.verdict}, named {named}")
         if folder.name == "emps":
             _against_published(case, outcome, console)
     console.print(table)
