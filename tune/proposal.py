@@ -122,6 +122,5 @@ def _narrower(
 def edges(objective: Objective, gains: Float[np.ndarray, "gains"],
           optimum: Optimum) -> tuple[str, ...]:  # fmt: skip
     """Names of the gains that are at an end of their search range."""
-    if not np.array_equal(gains, optimum.gains):
-        return ()
-    return tuple(objective.free[i].name for i in optimum.edges)
+    same = gains == optimum.gains
+    return tuple(objective.free[i].name for i in optimum.edges if same[i])

@@ -22,6 +22,10 @@ DELAY_MARGIN = 0.25
 WORSE = 1.05
 """How much worse a plant may be than before, relative: rounding and noise."""
 
+LOST = 0.5
+"""Error with the joint moving, relative to the desired force, RMS, from which on the
+force is not followed at all."""
+
 PEAK_SLACK = 1.0
 """How far a peak at an amplitude may exceed the limit of the linear one, dB."""
 
@@ -223,6 +227,11 @@ def against(objective: Objective, tried: Tried, before: Tried) -> tuple[str, ...
                 f"tracks worse ({says}) {of(bad)}, {now[i]:.3g} N RMS against "
                 f"{was[i]:.3g} N before"
             )
+    lost = LOST * objective.trials.amplitude[trials.MOVING]
+    if np.any(bad := tried.rms_moving > lost):
+        out.append(
+            f"does not follow (moving) {of(bad)}, {tried.rms_moving.max():.3g} N RMS"
+        )
     peak = max(objective.limits.peak_dB + PEAK_SLACK, float(np.max(before.peak)))
     if np.any(bad := tried.peak > peak):
         out.append(f"peak of {tried.peak.max():.1f} dB {of(bad)}")
