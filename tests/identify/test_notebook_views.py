@@ -73,7 +73,7 @@ def test_an_outcome_shows_effects_channels_and_parameters():
     effects, channels, found = Tables(write.result_html(explained())).tables
     assert effects[1:] == [
         ["internal leakage", "c_il", "(1.030 ± 0.014) × 10⁻¹² m³/(s·Pa)",
-         "< 10⁻³⁰⁰", ""],
+         "< 10⁻⁶", ""],
         ["position friction", "a_1", "0.2100 ± 0.0040", "3 × 10⁻⁴¹",
          "gravity load or stribeck"],
     ]  # fmt: skip
@@ -97,7 +97,7 @@ def test_an_outcome_plots_what_tells_most():
 
 @pytest.mark.parametrize(
     ("picture", "says"),
-    [("residuum", "write one of error"), ("loop", "nothing to show in loop")],
+    [("residuum", "write one of traces, error"), ("loop", "nothing to show in loop")],
 )
 def test_a_picture_that_is_not_there_is_refused_in_one_line(picture, says):
     with pytest.raises(InputError, match=says):

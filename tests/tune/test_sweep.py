@@ -365,18 +365,23 @@ def test_a_report_s_ensemble(setting, tmp_path):
         "effects": [],
     }  # fmt: skip
     (tmp_path / "report.json").write_text(json.dumps(report))
-    plants = from_findings(setting, Findings.load(tmp_path), 4000)
-    assert (
-        plants.names == ("beta", "k_cp")
-        and "without correlations" in plants.description
-    )
-    np.testing.assert_allclose(plants.values[0], [8e8, 1e3])
-    np.testing.assert_allclose(plants.values.std(0), [8e6, 50], rtol=0.05)
+    findings = Findings.load(tmp_path)
+    plants = from_findings(setting, findings, 4000)
+    assert plants.names[:2] == ("beta", "k_cp")
+    assert "without correlations" in plants.description
+    np.testing.assert_allclose(plants.values[0, :2], [8e8, 1e3])
+    # A uniform factor of the model's own error comes on top, on all that matters.
+    model = findings.residual * np.array([8e8, 1e3]) / np.sqrt(3)
+    spread = np.hypot([8e6, 50], model)
+    np.testing.assert_allclose(plants.values[:, :2].std(0), spread, rtol=0.05)
+    rest = plants.values[:, 2:] / plants.values[0, 2:]
+    assert np.max(np.abs(rest - 1)) <= findings.residual
     matrix = [[64e12, -0.9 * 8e6 * 50], [-0.9 * 8e6 * 50, 2500]]
     report["covariance"] = {"names": ["beta", "k_cp"], "matrix": matrix}
     (tmp_path / "report.json").write_text(json.dumps(report))
     values = from_findings(setting, Findings.load(tmp_path), 4000).values
-    assert np.corrcoef(values.T)[0, 1] == pytest.approx(-0.9, abs=0.02)
+    less = 8e6 * 50 / np.prod(spread)
+    assert np.corrcoef(values.T)[0, 1] == pytest.approx(-0.9 * less, abs=0.05)
     with pytest.raises(InputError, match="no report"):
         Findings.load(tmp_path / "none")
 
@@ -397,9 +402,13 @@ def test_plants_of_a_covariance_keep_every_scale(setting, tmp_path):
         "covariance": {"names": list(std), "matrix": both.tolist()},
     }
     (tmp_path / "report.json").write_text(json.dumps(report))
-    drawn = from_findings(setting, Findings.load(tmp_path), 4000).values
-    np.testing.assert_allclose(drawn.std(axis=0), list(std.values()), rtol=0.05)
-    assert abs(np.corrcoef(drawn.T)[0, 1] - 0.5) < 0.05
+    findings = Findings.load(tmp_path)
+    drawn = from_findings(setting, findings, 4000).values[:, :3]
+    own = np.array(list(std.values()))
+    model = findings.residual * np.array(list(value.values())) / np.sqrt(3)
+    np.testing.assert_allclose(drawn.std(axis=0), np.hypot(own, model), rtol=0.05)
+    less = np.prod(own[:2] / np.hypot(own, model)[:2])
+    assert abs(np.corrcoef(drawn.T)[0, 1] - 0.5 * less) < 0.05
 
 
 def test_moving_points_settle(setting, known):
