@@ -17,9 +17,9 @@ from benchmarks.speed.replays import NAMES
 
 GUARD = 1.0
 """How many times scalar C on one thread a batch of 256 may take. It took 0.2 of it when
-this was written, on the default flags 0.4, and with the exponential step 0.3: what breaks
-this is a scan that computes its body again for each output, or copies its outputs at
-every step."""
+this was written, on the default flags 0.4; with the exponential step it takes 0.3. What
+breaks this is a scan that computes its body again for each output, or copies its
+outputs at every step."""
 
 
 # -- statistics --
