@@ -116,9 +116,14 @@ def test_it_is_swept(file):
 
 
 def test_it_is_tuned(file):
+    """Gains are found; without feedforward of the speed none lets the force follow
+    while the joint moves, so that none is proposed, and that is said.
+    """
     found = tune_gains(file, plants=1, starts=1)
     assert set(found.gains) == {"k", "controller.beta"}
-    assert found.after["within_1dB"][0] > 1.5 * found.before["within_1dB"][0]
+    assert not np.allclose(found.optimum.gains, list(found.gains.values()), rtol=0.1)
+    assert len(found.obstacles) == 1
+    assert "does not follow (moving) on 1 of 1 plants" in found.obstacles[0]
     with pytest.raises(InputError, match="invalid gain 'v': expected one of k, contr"):
         tune_gains(file, free=("v",), plants=1)
 

@@ -74,7 +74,7 @@ def test_an_outcome_shows_effects_channels_and_parameters():
     assert effects[1:] == [
         ["internal leakage", "c_il", "(1.030 ± 0.014) × 10⁻¹² m³/(s·Pa)",
          "< 10⁻⁶", ""],
-        ["position friction", "a_1", "0.2100 ± 0.0040", "3 × 10⁻⁴¹",
+        ["position friction", "a_1", "0.2100 ± 0.0040", "< 10⁻⁶",
          "gravity load or stribeck"],
     ]  # fmt: skip
     assert channels[3] == [
