@@ -210,13 +210,15 @@ def _with_noise_found(case: Case, state: Tracing) -> Tracing:
     """The state with the channels' noise as the model that was found has it.
 
     How far the position's noise moves a pressure depends on the model; one that lacked
-    an effect, or a rig file's first values, said it when the logs were made ready.
+    an effect, or a rig file's first values, gave it when the logs were made ready. It
+    is only ever lowered: a model that is off may answer the position too strongly, and
+    would excuse its own error.
     """
     if case.noise_by is None:
         return state
     noise = case.noise_by(state.problem, state.point.values)
     seen = np.isfinite(state.noise)
-    noise = np.where(seen & np.isfinite(noise), noise, state.noise)
+    noise = np.where(seen, np.fmin(noise, state.noise), state.noise)
     if np.allclose(noise[seen], state.noise[seen], rtol=state.criteria.matters):
         return state
     problem, check = (

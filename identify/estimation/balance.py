@@ -1,15 +1,16 @@
 """A fit of the flow balances at the measured pressures: a start from anywhere.
 
 A replay carries what a model lacks from tick to tick, and a fit of it drives the
-parameters off to compensate. The balance of each tick knows its own error only, costs a
-tenth, and has fewer local minima: where a replay's fit begins, and which effect it is
-worth to begin with, is asked of it.
+parameters off to compensate. The balance of each tick knows its own error only,
+integrates nothing, and has fewer local minima: it gives where a replay's fit begins,
+and which effects are worth a fit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -34,7 +35,7 @@ pressures are noisy, and their noise sums to little there."""
 
 
 BASE_STEPS = 8
-"""Steps of a fit of the declared model's balances: it only is to begin near."""
+"""Steps of a fit of the declared model's balances, at most: a start is all it gives."""
 
 
 class Linear(NamedTuple):
@@ -147,14 +148,11 @@ def in_brief(problem: Problem) -> Problem:
 
 
 def balanced(problem: Problem, values: Values, free: Sequence[str]) -> Values:
-    """The values at which the declared model's own balances fit best, or those given
-    if there a replay is nearer to what was measured.
+    """The values at which the balances fit best along `free`, or those given if there
+    a replay is nearer to the measured pressures.
     """
     few = in_brief(problem)
-
-    def evaluate(values: Values, free: Sequence[str]) -> Linear:
-        return balance_at(few, values, free)
-
+    evaluate = partial(balance_at, few)
     at = descend(few, evaluate, evaluate(values, free), free, BASE_STEPS)
     noise = np.asarray(problem.batch.noise)
     seen = np.isfinite(noise) & PRESSURES

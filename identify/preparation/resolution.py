@@ -173,6 +173,14 @@ def _position(
     found = brought(problem, values)
     found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, criteria.distorted * found)
+    note = _position_note(sensor_noise, noise, extra)
+    return Smoothed(smoothed, np.hypot(noise, extra), note, change, noise_by)
+
+
+def _position_note(
+    sensor_noise: SensorNoise, noise: np.ndarray, extra: np.ndarray
+) -> str:
+    """What is said of the position's noise; `extra` is what it brings, SI."""
     moves = ", ".join(
         f"{name} by {size / per:.2g} {unit}"
         for name, size, per, unit in zip(
@@ -180,12 +188,12 @@ def _position(
         )
         if np.isfinite(noise[CHANNELS.index(name)])
     )
-    note = (
+    return (
         f"the position is known to {1e6 * sensor_noise.sigma:.2g} um: "
-        f"{_said(sensor_noise)} what is "
-        f"left of its noise moves {moves} RMS, which is counted into their noise"
+        f"{_said(sensor_noise)} by a first fit, what is left of its noise moves "
+        f"{moves} RMS; that, or less where the model found says so, is counted into "
+        "their noise"
     )
-    return Smoothed(smoothed, np.hypot(noise, extra), note, change, noise_by)
 
 
 def _roughly_fitted(

@@ -27,8 +27,7 @@ NEAR = 8e-3
 8 ticks at most."""
 
 SUBSTEP = 2.5e-3
-"""Longest substep of the pressures, s: halved, the error of a fit of a mobile machine
-logged at 100 Hz moves by less than 1 kPa."""
+"""Longest substep of the pressures, s; `tests/identify/test_balance.py` halves it."""
 
 SETTLE = 1.0
 """Seconds at the head of a segment that no window takes: what bristle, filtered speed

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -93,9 +94,7 @@ def _balances(state: Tracing, effects: Mapping[str, Effect]) -> _Search | None:
     if not upstream or not few.sees_pressures:
         return None
 
-    def evaluate(values: Values, free: Sequence[str]) -> Linear:
-        return balance_at(few, values, free)
-
+    evaluate = partial(balance_at, few)
     at = evaluate(state.point.values, state.free)
     here = descend(few, evaluate, at, state.free, own.far_steps).left
     return _Search(few, evaluate, here, upstream)
@@ -176,18 +175,17 @@ def nonlocal_starts(effect: Effect) -> list[dict[str, float]]:
     """Strengths at which an effect is tried as it stands, along its grid: what it does
     there is not predicted by its derivative at zero.
     """
-    grids = {
-        f"{effect.name}.{f}": s.grid for f, s in specs(effect).items() if s.strength
-    }
-    length = max((len(g) for g in grids.values()), default=0)
-    return [{n: g[i] for n, g in grids.items() if i < len(g)} for i in range(length)]
+    return _along(effect, [f for f, s in specs(effect).items() if s.strength])
 
 
 def shape_starts(effect: Effect) -> list[dict[str, float]]:
     """Values of its shape along their grids, its strengths at zero; one at least."""
-    grids = {
-        f"{effect.name}.{f}": s.grid for f, s in specs(effect).items() if not s.strength
-    }
+    shape = [f for f, s in specs(effect).items() if not s.strength]
+    return _along(effect, shape) or [{}]
+
+
+def _along(effect: Effect, fields: Sequence[str]) -> list[dict[str, float]]:
+    """The first values of these fields' grids together, then the second, and so on."""
+    grids = {f"{effect.name}.{f}": specs(effect)[f].grid for f in fields}
     length = max((len(g) for g in grids.values()), default=0)
-    starts = [{n: g[i] for n, g in grids.items() if i < len(g)} for i in range(length)]
-    return starts or [{}]
+    return [{n: g[i] for n, g in grids.items() if i < len(g)} for i in range(length)]

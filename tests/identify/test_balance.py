@@ -20,6 +20,8 @@ from hydrojax.identify.estimation.problem import (
     free_effect,
     free_parameters,
 )
+from hydrojax.identify.preparation import data as preparation
+from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs
 from hydrojax.identify.tracing.afar import _balances, _found
 from hydrojax.identify.tracing.criteria import Criteria
@@ -126,10 +128,23 @@ def test_a_descent_stays_in_the_ranges_and_lowers_the_squares(machine):
         assert f.lower <= value <= f.upper
 
 
-def test_where_the_replay_is_worse_the_given_values_stay(machine):
-    """The better of two starts by the replay, whichever the balances give."""
+def test_a_fit_begins_far_nearer_than_the_rig_file(machine):
+    """By the replay's own errors of both pressures."""
     problem, free = machine[1].problem, machine[1].free
     given = machine[1].point.values
-    got = balanced(problem, given, free)
-    errors = [np.sum(problem.errors_at(v)[:, :2]) for v in (given, got)]
-    assert errors[1] <= errors[0]
+    errors = [
+        np.sum(problem.errors_at(v)[:, :2])
+        for v in (given, balanced(problem, given, free))
+    ]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_halved_substeps_change_little(machine, monkeypatch):
+    """The replay at the balances' values: under a quarter of the sensors' 9 kPa."""
+    name, state = machine
+    values = balanced(state.problem, state.point.values, state.free)
+    monkeypatch.setattr(preparation, "SUBSTEP", windows.SUBSTEP / 2)
+    fine = state_of(DATA / name).problem
+    assert fine.batch.windows.x_fine.shape[-1] == 17  # 8 substeps, from 4
+    coarse, fine = (p.residuals_at(values)[..., :2] for p in (state.problem, fine))
+    assert 0 < np.sqrt(np.mean((coarse - fine) ** 2)) < 9e3 / 4
