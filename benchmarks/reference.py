@@ -17,14 +17,13 @@ import typer
 
 from hydrojax import cli
 from hydrojax.effects import EFFECTS
-from hydrojax.identify.results.report_schema import KEYS as REPORT
-from hydrojax.identify.results.report_schema import report_schema
 from hydrojax.logs.tables import SIGNALS, TABLES
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.chambers import Chambers
 from hydrojax.plant.friction import Friction
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.valve import MeteringEdges
+from hydrojax.report.schema import Report, report_schema
 from hydrojax.rigfile.controller import KEYS, PAPER, written_unit
 from hydrojax.rigfile.json_schema import KEY_MEANINGS, MEANINGS, rig_schema
 from hydrojax.rigfile.sections import GEOMETRY, LOAD, SUPPLY_UNITS
@@ -223,7 +222,8 @@ def _default(parameter: Any) -> str:
 
 def report_page() -> str:
     """Every key of report.json."""
-    rows = ((f"`{name}`", said) for name, (_, said) in REPORT.items())
+    keys = Report.model_fields.items()
+    rows = ((f"`{name}`", key.description or "") for name, key in keys)
     return "\n".join([
         "# report.json\n",
         "`identify` and `trace` write it beside the page. SI units; `null` is no finite "

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import reference
 from hydrojax.effects import EFFECTS
-from hydrojax.identify.results.report_schema import report_schema
+from hydrojax.report.schema import report_schema
 
 
 @pytest.fixture
