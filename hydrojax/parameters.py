@@ -82,7 +82,8 @@ def param(
     Args:
         unit: SI, as pint reads it; `"{u}"` stands for the unit of the valve command.
         default: value where the rig file is silent; of a strength 0.
-        lower, upper: range that it may take.
+        lower: least value that it may take.
+        upper: largest value that it may take.
         description: one phrase for the report.
         more: `strength=True` where the effect is absent at 0, `size` its typical
             magnitude, and the other attributes of `Spec`.

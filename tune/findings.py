@@ -13,7 +13,8 @@ from jaxtyping import Float
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.parameters import parameter_specs, put
-from hydrojax.report.record import ChannelRecord, ParameterRecord, read_report
+from hydrojax.report.record import read_report
+from hydrojax.report.schema import ChannelRecord, ParameterRecord
 from hydrojax.rigfile.quantities import Setting
 
 UNVALIDATED = 0.05

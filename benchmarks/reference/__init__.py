@@ -12,7 +12,7 @@ from benchmarks.reference.api import api_page
 from benchmarks.reference.effects import effects_page
 from benchmarks.reference.files import commands_page, report_page, rig_file_page
 from benchmarks.reference.parameters import parameters_page
-from hydrojax.identify.results.report_schema import report_schema
+from hydrojax.report.schema import report_schema
 from hydrojax.rigfile.json_schema import rig_schema
 
 FOLDER = Path(__file__).parents[2] / "docs/reference"

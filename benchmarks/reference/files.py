@@ -12,9 +12,9 @@ import typer
 
 from benchmarks.reference.markdown import table, unit
 from hydrojax import cli
-from hydrojax.identify.results.report_schema import report_schema
 from hydrojax.logs.tables import SIGNALS, TABLES
 from hydrojax.plant.layout import LAYOUTS
+from hydrojax.report.schema import report_schema
 from hydrojax.rigfile.controller import KEYS, PAPER, written_unit
 from hydrojax.rigfile.json_schema import KEY_MEANINGS, MEANINGS
 from hydrojax.rigfile.sections import GEOMETRY, LOAD, SUPPLY_UNITS
@@ -121,11 +121,10 @@ def report_page() -> str:
     for name, shape in keys.items():
         inner = _inner(_real(shape, known), known)
         if inner is not None and inner.get("properties"):
-            fields = (
-                (f"`{k}`", _type(v, known), v.get("description", ""))
-                for k, v in inner["properties"].items()
-            )
-            parts += [f"## {name}\n", table(("key", "type", "meaning"), fields)]
+            own = inner["properties"].items()
+            fields = [(f"`{k}`", _type(v, known)) for k, v in own]
+            said = " ".join(inner.get("description", "").split())
+            parts += [f"## {name}\n", said + "\n", table(("key", "type"), iter(fields))]
     return "\n".join(parts)
 
 
@@ -153,12 +152,14 @@ def _type(shape: Shape, known: Mapping[str, Shape]) -> str:
     null = any(s.get("type") == "null" for s in shape.get("anyOf", ()))
     shape = _real(shape, known)
     if "enum" in shape:
-        return " or ".join(f"`{v}`" for v in shape["enum"])
+        return " or ".join(f"`{v}`" for v in shape["enum"] if v)
     if "const" in shape:
         return f"`{shape['const']}`"
     named = shape.get("type", "value")
     kinds = [named] if isinstance(named, str) else list(named)
     inner = shape.get("items") or shape.get("additionalProperties")
+    if "prefixItems" in shape:
+        kinds = ["pair"]
     if isinstance(inner, Mapping):
         of = _real(inner, known)
         what = "tables" if "properties" in of else f"{_type(inner, known)}"

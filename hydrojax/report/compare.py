@@ -10,7 +10,8 @@ from typing import Any
 
 from hydrojax.errors import InputError
 from hydrojax.report.page import page
-from hydrojax.report.record import ChannelRecord, ParameterRecord, Report, read_report
+from hydrojax.report.record import read_report
+from hydrojax.report.schema import ChannelRecord, ParameterRecord, Report
 from hydrojax.report.text import quantity_text
 
 APART = 3.0

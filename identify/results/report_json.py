@@ -15,7 +15,7 @@ from hydrojax.identify.results.outcome import (
     Parameter,
     Unexplained,
 )
-from hydrojax.report.record import FORMAT
+from hydrojax.report.schema import FORMAT
 
 
 def report_json(outcome: Outcome) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from benchmarks.reference.known import FOLDER, KNOWN, MEASURED
 from benchmarks.reference.signatures import digest, look_alikes
 from hydrojax.effects import EFFECTS
 from hydrojax.effects.friction import Stribeck
-from hydrojax.identify.results.report_schema import report_schema
+from hydrojax.report.schema import report_schema
 
 
 @pytest.fixture

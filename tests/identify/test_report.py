@@ -27,10 +27,10 @@ from hydrojax.identify.results.outcome import (
     Unexplained,
 )
 from hydrojax.identify.results.report_json import report_json
-from hydrojax.identify.results.report_schema import report_schema
 from hydrojax.identify.results.summary import with_inputs
 from hydrojax.report import files, text
 from hydrojax.report.record import read_report
+from hydrojax.report.schema import report_schema
 
 NOISE = {"P_a1": 9e3, "P_a2": 9e3, "F": 2.5}
 UNITS = {"P_a1": "Pa", "P_a2": "Pa", "F": "N"}

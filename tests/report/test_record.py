@@ -7,11 +7,13 @@ import json
 import time
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
 from hydrojax.report.record import read_report
+from hydrojax.report.schema import report_schema
 from hydrojax.rigfile.quantities import open_setting
 from hydrojax.tune.findings import Findings
 
@@ -59,6 +61,8 @@ def test_a_sound_report_is_read(tmp_path):
     assert report.covariance is not None and report.rig == "bench"
 
 
+CANDIDATE = {"name": "stribeck", "status": "absent", "p_value": 0.5, "power": 0.9}
+
 WRONG = {
     ("format",): ["hydrojax-report/99", 1, None],
     ("parameters",): [None, [], {"beta": 3}, {"\x1b[2J": {"value": 1.0, "unit": "N"}}],
@@ -78,6 +82,14 @@ WRONG = {
     ],
     ("logs",): [3, {"validate": "v.csv"}],
     ("rig",): [3, None, {}],
+    ("verdict",): ["perfect", None, 1],
+    ("candidates",): [{}, [{"name": "stribeck"}], [CANDIDATE | {"status": "maybe"}],
+                      [CANDIDATE | {"p_value": 2.0}], [CANDIDATE | {"power": -1.0}]],
+    ("channels", "F", "horizons"): [3, {"1": {"held": -1.0}}, {"1": 2.0}],
+    ("parameters", "beta", "interval"): [[1.0], [1.0, 2.0, 3.0], ["a", "b"], 3.0],
+    ("criteria",): [[], {"level": "small"}, {"level": float("nan")}],
+    ("files",): [[{"name": "a.csv", "use": "fit", "rows": -1}]],
+    ("seconds",): [{"compile": -1.0}, 3],
 }  # fmt: skip
 
 
@@ -92,8 +104,24 @@ def test_a_wrong_report_is_refused(tmp_path, where):
         refusal(save(tmp_path, content))
         if where[0] in ("format", "parameters", "effects"):
             del inner[where[-1]]
-            if where[-1] not in ("beta", "std"):
+            if where[-1] not in ("beta", "std", "interval"):
                 refusal(save(tmp_path, content))
+
+
+def test_the_published_schema_is_what_is_read():
+    """Whatever is wrong in its kind, and not only in its sense, fails there too."""
+    schema = report_schema()
+    jsonschema.validate(SOUND, schema)
+    for where in (("format",), ("verdict",), ("candidates",), ("files",), ("rig",)):
+        for value in WRONG[where]:
+            with pytest.raises(jsonschema.ValidationError):
+                jsonschema.validate({**SOUND, where[0]: value}, schema)
+
+
+def test_a_number_that_is_none_is_refused_wherever_it_stands(tmp_path):
+    for number in (float("nan"), float("inf")):
+        refusal(save(tmp_path, SOUND | {"a key of another version": [{"b": number}]}))
+    assert read_report(save(tmp_path, SOUND | {"a key of another version": 1}))
 
 
 def test_bytes_that_are_no_report(tmp_path):
