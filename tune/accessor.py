@@ -121,7 +121,7 @@ class Swept:
                         f"{size}, got {index}"
                     )
         chosen = {title: dict(at) for title, at in (cells or {}).items()}
-        return plots.bode_figure(self.data, chosen or None)
+        return plots.sweep_bode_figure(self.data, chosen or None)
 
     def summary(self) -> str:
         """The cell with the widest bandwidth within 1 dB, a line for each method.
