@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
+from typing import Any
 
 import numpy as np
 import pytest
@@ -231,7 +232,7 @@ def test_a_tuning_plots_what_its_limits_cost():
 def test_an_outcome_is_explored_measured_against_model():
     pytest.importorskip("plotly", reason="plotly is not installed: [notebook]")
     outcome = explained()
-    figure = interactive.explore(outcome)
+    figure: Any = interactive.explore(outcome)
     (menu,) = figure.layout.updatemenus
     shown = [b.label for b in menu.buttons]
     s = outcome.series[0]

@@ -460,7 +460,8 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     assert all(a["within_1dB"] <= float(best) for a in rest)
     ax = plots.map_figure(data).axes[0]
     (mark,) = (line for line in ax.lines if line.get_marker() == "D")
-    assert mark.get_xydata().tolist() == [[float(best.k_p), float(best.k_f)]]
+    at = np.column_stack([mark.get_xdata(), mark.get_ydata()])
+    np.testing.assert_array_equal(at, [[float(best.k_p), float(best.k_f)]])
     assert f"{float(best):.1f} Hz" in [t.get_text() for t in ax.texts]
     r = data.linear_radius.values
     assert np.any(r > 1) and np.all(np.isnan(data.linear_within_1dB.values[r > 1]))
