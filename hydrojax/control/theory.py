@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.control.adaptive import adaptive_law, mean_area, truth
+from hydrojax.control.adaptive import adaptive_law, truth
 from hydrojax.control.base import Estimates
+from hydrojax.control.inverting import mean_area
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.control.simulation import Run
 from hydrojax.plant.valve import metering_edges

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from hydrojax import __version__
-from hydrojax.control.adaptive import LEAST_DROP, Law
+from hydrojax.control.adaptive import Law
 from hydrojax.control.base import Estimates
+from hydrojax.control.inverting import LEAST_DROP
 from hydrojax.export.template import fill
 from hydrojax.export.tree import defaults_taken, rig_tree
 from hydrojax.plant.valve import metering_edges

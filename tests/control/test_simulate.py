@@ -13,8 +13,8 @@ import pytest
 
 from hydrojax.cli.scenario import read_inputs
 from hydrojax.control import simulation, waveforms
-from hydrojax.control.adaptive import mean_area
 from hydrojax.control.base import Estimates
+from hydrojax.control.inverting import mean_area
 from hydrojax.control.loop import Scenario
 from hydrojax.errors import InputError
 from hydrojax.identify import api as running
