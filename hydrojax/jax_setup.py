@@ -153,8 +153,8 @@ def _trim_after_compiling() -> None:
     """
     import jax
 
-    def heard(event: str, duration: float, **_: str | int) -> None:
-        if duration > LONG_COMPILE and event.endswith("backend_compile_duration"):
+    def heard(event: str, duration_secs: float, **_: str | int) -> None:
+        if duration_secs > LONG_COMPILE and event.endswith("backend_compile_duration"):
             _return_freed_memory()
 
     jax.monitoring.register_event_duration_secs_listener(heard)

@@ -83,7 +83,7 @@ KINDS: Mapping[str, str] = {
 }
 """The controllers that a rig file can name."""
 
-PAPERS = (ADAPTIVE, FIXED)
+LAWS = (ADAPTIVE, FIXED)
 """Those that are the paper's law."""
 
 Values = dict[str, tuple[float, float]]
@@ -127,7 +127,7 @@ def file_keys(spec: RigFile) -> Values:
     Raises:
         InputError: an invalid key, unit or value.
     """
-    of_law = kind_of(spec) in PAPERS
+    of_law = kind_of(spec) in LAWS
     table = {
         key: value
         for key, value in spec.controller.items()

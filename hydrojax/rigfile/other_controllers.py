@@ -17,8 +17,8 @@ from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.controller import (
     KIND,
     KINDS,
+    LAWS,
     LOOP_KEYS,
-    PAPERS,
     full_command,
     kind_of,
     with_gains,
@@ -44,7 +44,7 @@ def named_controller(
         InputError: an unknown controller or gain, or an invalid quantity.
     """
     kind = kind_of(spec)
-    if kind in PAPERS:
+    if kind in LAWS:
         return None
     law = OTHERS[kind].for_rig(nominal, spec.line, full_command(spec))
     own = {k: v for k, v in spec.controller.items() if k not in (KIND, *LOOP_KEYS)}
@@ -69,7 +69,7 @@ def with_controller(spec: RigFile, kind: str) -> RigFile:
         return spec
     document = tomlkit.parse(spec.text)
     table = document.setdefault("controller", tomlkit.table())
-    same_gains = {kind, kind_of(spec)} <= set(PAPERS)
+    same_gains = {kind, kind_of(spec)} <= set(LAWS)
     for key in list(table):
         if not same_gains and key not in LOOP_KEYS:
             del table[key]
