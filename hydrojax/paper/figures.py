@@ -5,7 +5,8 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from hydrojax.control import theory
-from hydrojax.paper.experiments import Experiments, Response, Track, within
+from hydrojax.paper.experiments import within
+from hydrojax.paper.records import Experiments, Response, Track
 
 SHOWN = 6.0
 """Seconds of each run that a picture shows: two times to and fro."""
@@ -85,10 +86,10 @@ def response_figure(r: Response) -> Figure:
     top.legend(loc="upper left", fontsize=9)
     bottom.semilogx(r.noise_hertz, r.coherence, color=_BLUE, lw=1.3)
     bottom.set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0.9, 1.005))
-    ticks = [1, 2, 5, 10, 20, 40]
+    ticks = [1, 2, 5, 10, 20, 50, 100, 200]
     bottom.set_xticks(ticks, [str(k) for k in ticks])
     bottom.set_xticks([], minor=True)
-    bottom.set_xlim(1, 40)
+    bottom.set_xlim(1, 200)
     for ax in (top, bottom):
         ax.grid(alpha=0.3)
     return fig
