@@ -21,6 +21,7 @@ import typer
 from hydrojax import cli
 from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.rigfile.schema import RigFile
+from tests.browser import Browser, Page
 from tests.pages import ROOT, TUTORIAL, blocks, commands
 
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
@@ -88,6 +89,19 @@ def test_every_page_is_there(site):
 def test_the_api_pages_hold(site, name):
     text = "".join(p.read_text(encoding="utf-8") for p in (site / "api").glob("*.html"))
     assert f'id="{name}"' in text
+
+
+def test_pages_fit_the_screen(site, tmp_path):
+    """A phone's and a desk's: nothing goes sideways, and no picture is missing."""
+    browser = Browser(tmp_path)
+    try:
+        for name in ("index", "first_report", "reference/effects", "reference/api"):
+            for width in (400, 1600):
+                seen = Page(browser, site / f"{name}.html", width)
+                assert seen.overflow() <= 0, (name, width)
+            assert all(alt and wide for alt, wide in seen.pictures()), name
+    finally:
+        browser.close()
 
 
 FETCHED = re.compile(
