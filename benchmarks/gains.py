@@ -30,7 +30,7 @@ from hydrojax.tune.aims import TOLERANCE, Limits
 from hydrojax.tune.ensemble import ensemble, with_unsaid
 from hydrojax.tune.free import default_free
 from hydrojax.tune.objective import Objective
-from hydrojax.tune.programs import Rows, at
+from hydrojax.tune.programs import Rows, setting_at
 
 SUBSTEPS, PLANTS = 20, 8
 STIFF = 5000.0
@@ -69,7 +69,7 @@ def simulate(o: Objective, rows: Rows, which: np.ndarray) -> np.ndarray:
     lanes = [_lane(o, row) for row in rows.plant]
     h, n, count = TICK / SUBSTEPS, o.trials.F_d.shape[1], len(lanes)
     laws = [
-        at(o.setting, o.free, o.names, g, p, 0.0).loop.law
+        setting_at(o.setting, o.free, o.names, g, p, 0.0).loop.law
         for g, p in zip(rows.gains, rows.plant, strict=True)
     ]
     law = jax.tree.map(lambda *a: jnp.stack(a), *laws)

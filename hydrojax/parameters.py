@@ -77,7 +77,17 @@ def spread(first: float, last: float, count: int) -> tuple[float, ...]:
 def param(
     unit: str, default: float, lower: float, upper: float, description: str, **more: Any
 ) -> Any:
-    """Declare an array field of a Module as a parameter; the arguments are `Spec`'s."""
+    """Declare an array field of a Module as a parameter.
+
+    Args:
+        unit: SI, as pint reads it; `"{u}"` stands for the unit of the valve command.
+        default: value where the rig file is silent; of a strength 0.
+        lower: least value that it may take.
+        upper: largest value that it may take.
+        description: one phrase for the report.
+        more: `strength=True` where the effect is absent at 0, `size` its typical
+            magnitude, and the other attributes of `Spec`.
+    """
     spec = Spec(unit, default, lower, upper, description, **more)
     return eqx.field(
         default=default,

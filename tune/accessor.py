@@ -43,7 +43,7 @@ def sentences(data: xr.Dataset) -> list[str]:
     return said
 
 
-def _axis(axis: xr.DataArray) -> tuple[str, ...]:
+def axis_row(axis: xr.DataArray) -> tuple[str, ...]:
     """Name, description, number of values, range, and the rig's value."""
     values, unit = axis.values, axis.attrs["units"]
     return (
@@ -105,7 +105,7 @@ class Swept:
                         f"{size}, got {index}"
                     )
         chosen = {title: dict(at) for title, at in (cells or {}).items()}
-        return plots.bode_figure(self.data, chosen or None)
+        return plots.sweep_bode_figure(self.data, chosen or None)
 
     def summary(self) -> str:
         """The cell with the widest bandwidth within 1 dB, a line for each method.
@@ -147,7 +147,7 @@ class Swept:
         """What a notebook shows: the result in words, and the axes."""
         from hydrojax.tune.selection import axes_of
 
-        axes = [_axis(self.data[name]) for name in axes_of(self.data)]
+        axes = [axis_row(self.data[name]) for name in axes_of(self.data)]
         return markup.block(
             markup.paragraph("; ".join(sentences(self.data)), self.data.attrs["title"]),
             markup.table(("axis", "", "values", "range", "the rig's"), axes),

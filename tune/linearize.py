@@ -126,7 +126,7 @@ def _jacobian(
             lambda lo: lo.law, loop, Tapped(loop.law, i[1], loop.law.u_max)
         )
         state = unravel(flat.at[index].add(off[group]))
-        new, now = step_loop(tapped, state, operating_point.at(one, 0))
+        new, now = step_loop(tapped, state, operating_point.moment(one, 0))
         return ravel_pytree(new)[0][lead], jnp.stack([now["true_F"], now["u"]])
 
     i = jnp.zeros(len(INPUTS)).at[0].set(nudge)

@@ -6,9 +6,13 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 
 from hydrojax.report.text import in_picture
 from hydrojax.rigfile.controller import PAPER
@@ -84,26 +88,24 @@ def _contours(
     tables: dict[str, xr.DataArray], quantity: str,
 ) -> None:  # fmt: skip
     """A panel of filled contours for each method, on one scale."""
-    top = np.nanpercentile(
-        np.concatenate([t.values.ravel() for t in tables.values()]), 99
-    )
-    low = min(0.0, float(np.nanmin([np.nanmin(t) for t in tables.values()])))
-    levels = _levels(low, float(top))
+    levels = _levels(np.concatenate([t.values.ravel() for t in tables.values()]))
+    norm = BoundaryNorm(levels, 256)
     drawn = None
     for ax, m in zip(grid, tables, strict=True):
         table = tables[m]
         drawn = ax.contourf(
-            data[x], data[y], table, levels=levels, cmap="viridis", extend="max"
+            data[x], data[y], table, levels=levels, norm=norm, cmap="viridis"
         )
-        lines = ax.contour(data[x], data[y], table, levels=levels[1::2], colors="white",
-                           linewidths=0.6)  # fmt: skip
+        lines = ax.contour(data[x], data[y], table, levels=levels[1:-3:2],
+                           colors="white", linewidths=0.6)  # fmt: skip
         ax.clabel(lines, fmt="%g", fontsize=7)
         ax.set_title(NAMES[m], fontsize=10)
         _marks(ax, data, x, y)
+        _mark_best(ax, data, x, y, m)
     unit = data[f"{next(iter(tables))}_{quantity}"].attrs["units"]
     assert drawn is not None  # there is at least one way
-    fig.colorbar(drawn, ax=grid, label=f"{quantity} ({unit})",
-                 shrink=0.9)  # fmt: skip
+    fig.colorbar(drawn, ax=grid, label=f"{quantity} ({unit})", shrink=0.9,
+                 ticks=levels, format="%.4g")  # fmt: skip
 
 
 def _label_axes(grid: list[Any], data: xr.Dataset, x: str, y: str) -> None:
@@ -118,11 +120,43 @@ def _label_axes(grid: list[Any], data: xr.Dataset, x: str, y: str) -> None:
                 getattr(ax, f"set_{which}scale")("log")
 
 
-def _levels(low: float, top: float) -> np.ndarray:
-    rough = max(top - low, 1e-9) / 12
+def _levels(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k"]:
+    """Edges of the colours: even over nearly all values, wider and wider up to the top.
+
+    A few cells may stand far above all others, which would then share one colour.
+    """
+    real = values[np.isfinite(values)]
+    if not real.size:
+        return np.array([0.0, 1.0])
+    low, high = min(0.0, float(real.min())), float(np.percentile(real, 97))
+    rough = max(high - low, 1e-9) / 10
     power = 10.0 ** np.floor(np.log10(rough))
     step = next(s * power for s in (1, 2, 2.5, 5, 10) if s * power >= rough)
-    return np.arange(np.floor(low / step), np.ceil(top / step) + 1) * step
+    edges = list(np.arange(np.floor(low / step), np.ceil(high / step) + 1) * step)
+    while edges[-1] <= real.max():
+        edges.append(edges[-1] + np.ceil(0.3 * abs(edges[-1]) / step + 1e-9) * step)
+    return np.array(edges)
+
+
+def _mark_best(ax: Axes, data: xr.Dataset, x: str, y: str, method: str) -> None:
+    """The widest cell of what is shown, with its band."""
+    band = data[f"{method}_within_1dB"].transpose(y, x)
+    if not bool(band.notnull().any()):
+        return
+    best = band.isel(band.argmax(dim=[y, x]))
+    at = (float(best[x]), float(best[y]))
+    ax.plot(*at, "D", color="white", mec="black", ms=7, clip_on=False, zorder=5)
+    # Toward the middle, or it leaves the panel.
+    right, up = (
+        float(np.argmin(np.abs(data[n].values - v))) < data.sizes[n] / 2
+        for n, v in zip((x, y), at, strict=True)
+    )
+    ax.annotate(
+        f"{float(best):.1f} Hz", at, xytext=(8 if right else -8, 8 if up else -8),
+        textcoords="offset points", fontsize=8, color="white", weight="bold", zorder=6,
+        ha="left" if right else "right", va="bottom" if up else "top",
+        path_effects=[withStroke(linewidth=2, foreground="black")],
+    )  # fmt: skip
 
 
 def _marks(ax: Any, data: xr.Dataset, x: str, y: str) -> None:
@@ -165,8 +199,12 @@ def _disagreement(
 
 def _legend(fig: Figure, data: xr.Dataset, x: str, y: str) -> None:
     parts: list[Any] = [
-        Line2D([], [], marker="o", mfc="none", mec="black", ls="", label="the rig file")
-    ]
+        Line2D(
+            [], [], marker="o", mfc="none", mec="black", ls="", label="the rig file"
+        ),
+        Line2D([], [], marker="D", color="white", mec="black", ls="",
+               label="widest within 1 dB"),
+    ]  # fmt: skip
     if x in PAPER and y in PAPER:
         parts.append(
             Line2D([], [], marker="*", color="white", mec="black", ls="", ms=11,

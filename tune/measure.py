@@ -132,7 +132,7 @@ def run_excited(
         one = operating_point.scenario(
             setting, F_d[i][None], noise[i][None], t[i][None]
         )
-        carry, now = step_loop(loop, carry, operating_point.at(one, 0))
+        carry, now = step_loop(loop, carry, operating_point.moment(one, 0))
         return carry, jnp.stack([now[name] for name in KEEP])
 
     noise = jnp.asarray(given.noise)

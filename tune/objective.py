@@ -141,7 +141,7 @@ class Objective:
 
     def at(self, gains: Float[np.ndarray, "gains"], plant: int = 0) -> Setting:
         """The setting of one plant with these gains."""
-        return programs.at(
+        return programs.setting_at(
             self.setting, self.free, self.names, jnp.asarray(gains),
             jnp.asarray(self.values[plant]), self.setting.v,
         )  # fmt: skip

@@ -91,8 +91,8 @@ def scenario(
     return Scenario(t, F_d, noise, P_s, P_r, environment)
 
 
-def at(given: Scenario, k: int | Int[Array, ""]) -> Scenario:
-    """One row of a scenario."""
+def moment(given: Scenario, k: int | Int[Array, ""]) -> Scenario:
+    """One period of a scenario."""
     return jax.tree.map(lambda a: a[k], given)
 
 
@@ -110,7 +110,7 @@ def still(settings: Setting) -> bool:
     def drift(s: Setting) -> Array:
         carry = initial_state(s)
         one = scenario(s, s.F_0[None], jnp.zeros((1, 4)), jnp.zeros(1))
-        after = step_loop(_slow(s.loop), carry, at(one, 0))[0]
+        after = step_loop(_slow(s.loop), carry, moment(one, 0))[0]
         off = [b - a for a, b in zip(carry.plant.P, after.plant.P, strict=True)]
         return jnp.max(jnp.abs(jnp.stack(off)))
 

@@ -50,7 +50,7 @@ def line_figure(data: xr.Dataset) -> Figure:
     return fig
 
 
-def bode_figure(
+def sweep_bode_figure(
     data: xr.Dataset, cells: dict[str, dict[str, int]] | None = None
 ) -> Figure:
     """Gain and phase of chosen cells by every way, with the plants' band.
@@ -108,5 +108,5 @@ def sweep_figures(data: xr.Dataset) -> dict[str, Figure]:
         rest = axes_of(data)[2:]
         if len(rest) == 2:
             out["map_" + "_".join(rest)] = map_figure(data, over=(rest[0], rest[1]))
-    out["bode"] = bode_figure(data)
+    out["bode"] = sweep_bode_figure(data)
     return out

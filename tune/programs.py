@@ -34,7 +34,7 @@ class Rows(NamedTuple):
     v: Float[np.ndarray, "rows"]
 
 
-def at(
+def setting_at(
     setting: Setting, free: Sequence[Quantity], names: Sequence[str],
     gains: Any, plant: Any, v: Any,
 ) -> Setting:  # fmt: skip
@@ -62,7 +62,7 @@ class Programs:
         self.size = size
 
         def place(setting, row):
-            return at(setting, free, names, *row)
+            return setting_at(setting, free, names, *row)
 
         def settled(setting, row):
             return operating_point.initial_state(place(setting, row), settle=settle)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Collection
 from importlib import resources
 from json import dumps
@@ -30,11 +28,11 @@ from hydrojax.cli.options import (
     check_out,
     check_report,
     check_verdicts,
+    command_line,
     console,
     load_effects,
     show_progress,
 )
-from hydrojax.errors import TEXT, one_line
 from hydrojax.jax_setup import set_up_jax, user_cache
 
 if TYPE_CHECKING:
@@ -169,8 +167,7 @@ def _finish(
     result: Result, out: Path, json: bool, quiet: bool, failing: Collection[str]
 ) -> None:
     """Write the report and print its summary; leave with 1 on a failing verdict."""
-    command = one_line(shlex.join(["hydrojax", *sys.argv[1:]]), TEXT)
-    result.save(out, command)
+    result.save(out, command_line())
     outcome = result.outcome
     if json:
         from hydrojax.identify.results.report_json import report_json

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import shlex
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
-from hydrojax.errors import InputError, check_known
+from hydrojax.cli.progress import show_count, show_stages
+from hydrojax.errors import TEXT, InputError, check_known, one_line
 from hydrojax.report.files import check_untouched, claim, claim_file
 
 app = typer.Typer(
@@ -101,27 +95,21 @@ Profile = Annotated[
 ]
 
 
-@contextmanager
-def show_progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """A line that says what is being done, and for how long it has been."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    quiet = quiet or not errors.is_terminal  # else a log file gets an empty line
-    with Progress(*columns, console=errors, transient=True, disable=quiet) as bar:
-        task = bar.add_task("read the logs")
-        yield lambda what: bar.update(task, description=what)
+def show_progress(
+    quiet: bool = False,
+) -> AbstractContextManager[Callable[[str], None]]:
+    """A line that says what is being done, and for how long it will be."""
+    return show_stages(errors, quiet)
 
 
-@contextmanager
-def counted(what: str) -> Iterator[Callable[[int, int], None]]:
+def counted(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
     """A bar of so many done out of so many, with the time that is left."""
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )  # fmt: skip
-    quiet = not errors.is_terminal
-    with Progress(*columns, console=errors, transient=True, disable=quiet) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    return show_count(errors, what)
+
+
+def command_line() -> str:
+    """What was given, as one line for a report."""
+    return one_line(shlex.join(["hydrojax", *sys.argv[1:]]), TEXT)
 
 
 def check_out(context: typer.Context, out: Path) -> None:

@@ -18,6 +18,7 @@ from hydrojax.cli.options import (
     app,
     check_out,
     check_report,
+    command_line,
     console,
     counted,
     load_effects,
@@ -26,8 +27,7 @@ from hydrojax.cli.options import (
 from hydrojax.cli.words import read_axes, read_gains, read_point
 from hydrojax.errors import InputError, check_known
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
-from hydrojax.report.files import settle, write_all
-from hydrojax.report.page import as_png
+from hydrojax.report.files import settle
 
 if TYPE_CHECKING:
     from hydrojax.tune.aims import Aim as AnyAim
@@ -129,8 +129,9 @@ def sweep(
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from hydrojax.rigfile.schema import RigFile
-    from hydrojax.tune import api, plots
+    from hydrojax.tune import api
     from hydrojax.tune.accessor import sentences
+    from hydrojax.tune.report import write_sweep
 
     file = RigFile.load(rig)
     arguments: dict[str, Any] = {
@@ -149,11 +150,10 @@ def sweep(
 
             share_sweep(file, arguments, effects or (), out, cluster, progress)
         data = api.sweep(file, **arguments, out=out, progress=progress)
-    drawn = plots.sweep_figures(data).items()
-    write_all(out, {f"{name}.png": as_png(figure, 120) for name, figure in drawn})
+    write_sweep(data, out, command_line())
     for line in sentences(data):
         console.print(line)
-    console.print(f"sweep.nc and pictures in {out}")
+    console.print(f"report in {out / 'report.html'}, numbers in {out / 'sweep.nc'}")
 
 
 @app.command()

@@ -145,7 +145,18 @@ def effect(cls: type[Own]) -> type[Own]:
 
 
 def load_effects(path: str | Path) -> dict[str, type[Effect]]:
-    """Add the effects that a Python file defines; see `registry.load_effects`."""
+    """Add the effects that a Python file defines; it may be read again.
+
+    Args:
+        path: of the file; every class in it that derives from an effect is taken.
+
+    Returns:
+        The file's effects, by name.
+
+    Raises:
+        InputError: the file cannot be read or run, defines no effect, or one that
+            cannot be taken; in one line, with the mend.
+    """
     return registry.load_effects(path, EFFECTS)
 
 

@@ -24,7 +24,7 @@ SHUT = 1e-2
 
 
 class SupplyLineDrop(SupplyEffect):
-    """Turbulent loss ahead of the valve (C7, C8): `k_s Q_s^2`, in closed form."""
+    """Turbulent loss ahead of the valve (C7, C8): `P_s - k_s Q_s^2` stands at it."""
 
     name = "supply_line_drop"
     residual_axis = "abs(u)"
@@ -125,7 +125,7 @@ class Counterbalance(LineEffect):
 
 
 class InternalLeakage(FlowEffect):
-    """Laminar leakage between the chambers (C1)."""
+    """Laminar leakage from chamber 1 to 2 (C1): `c_il (P_a1 - P_a2)`."""
 
     name = "internal_leakage"
     residual_axis = "P_a1 - P_a2"
@@ -139,7 +139,7 @@ class InternalLeakage(FlowEffect):
 
 
 class ExternalLeakage(FlowEffect):
-    """Laminar leakage of each chamber to the return (C2)."""
+    """Laminar leakage of each chamber to the return (C2): `c_el (P_i - P_r)`."""
 
     name = "external_leakage"
     residual_axis = "P_a1 + P_a2"
@@ -173,7 +173,7 @@ class DeadVolume(VolumeEffect):
 
 
 class EntrainedAir(ComplianceEffect):
-    """Compliance of free air in the oil (C4), polytropic, pressure absolute."""
+    """Free air in oil (C4): `1/beta + alpha (p_0/p)^(1/n) / (n p)`, `p` absolute."""
 
     name = "entrained_air"
     residual_axis = "P_a1 + P_a2"

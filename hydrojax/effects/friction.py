@@ -13,7 +13,7 @@ from hydrojax.plant.effect import FrictionForce, LevelEffect, SpeedEffect
 
 
 class Stribeck(LevelEffect):
-    """Rise of the Coulomb level near standstill (F2)."""
+    """Rise of the Coulomb level near standstill (F2): `k_st exp(-(v/v_s)^2)`."""
 
     name = "stribeck"
     residual_axis = "v"
@@ -60,6 +60,9 @@ def _wave(description: str) -> Any:
 class PositionFriction(LevelEffect):
     """Coulomb level that varies along the stroke (F6): a wave and two overtones.
 
+    Times `1 + sum_k s_k sin(k y) + c_k cos(k y)`, k = 1 to 3, with
+    `y = 2 pi waves (x - x_mid) / (x_to - x_from)`.
+
     The wavelength is free, so that a bore's own wave is met exactly; at twice the
     travel the three waves follow any smooth profile. `x_from` and `x_to` are the
     travel (m), of the logs that are fitted.
@@ -95,7 +98,7 @@ class PositionFriction(LevelEffect):
 
 
 class FrictionDrift(LevelEffect):
-    """Coulomb level that drifts as the rig warms (F11)."""
+    """Coulomb level that drifts (F11): times `1 + a (exp(-t/tau) - 1)`."""
 
     name = "friction_drift"
     residual_axis = "t"

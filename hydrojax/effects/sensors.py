@@ -32,7 +32,7 @@ class _Lag(SensorChannel):
 
 
 class LoadcellLag(_Lag):
-    """First-order lag of the load cell (S1)."""
+    """First-order lag of the load cell (S1): `tau_F dF_m/dt = F - F_m`."""
 
     name = "loadcell_lag"
     place = "sensor_F"
@@ -72,7 +72,7 @@ class LoadcellGain(SensorChannel):
 
 
 class PressureSensorLag(_Lag):
-    """First-order lag of both pressure sensors (S5)."""
+    """First-order lag of both pressure sensors (S5): `tau_P dP_m/dt = P - P_m`."""
 
     name = "pressure_sensor_lag"
     place = "sensor_P"

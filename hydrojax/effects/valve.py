@@ -81,7 +81,7 @@ class ValveBias(CommandChannel):
 
 
 class ValveHysteresis(CommandChannel):
-    """Play of half-width `u_h` (V7): the output moves only when pushed."""
+    """Play (V7): the output follows only where `abs(u - output)` exceeds `u_h`."""
 
     name = "valve_hysteresis"
     residual_axis = "u_rate"
@@ -109,7 +109,7 @@ class ValveHysteresis(CommandChannel):
 
 
 class ValveRateLimit(CommandChannel):
-    """Spool that moves no faster than `r_v` (V2); exact for the mean over a step.
+    """Spool with `abs(ds/dt) <= r_v` (V2); exact for the mean over a step.
 
     Stored as `slew = 1/r_v` so that absent is 0: under a held command the spool runs
     along a ramp, and the area it loses, `slew du abs(du) / 2`, is linear in `slew`.
@@ -145,11 +145,11 @@ class ValveRateLimit(CommandChannel):
 
 
 class ValveLag(CommandChannel):
-    """Second-order spool (V1), exact for a held command and averaged over the tick.
+    """Second-order spool (V1): `s'' + 2 zeta omega s' + omega^2 s = omega^2 u`.
 
-    Stored as `tau = 1/omega` so that absent is 0. The mean over the tick keeps the
-    derivative alive there, which the value at the tick's end would not. `zeta` is
-    taken up to 1: a slower spool than critical is seen as critical.
+    Exact for a held command. Stored as `tau = 1/omega` so that absent is 0. The mean
+    over the tick keeps the derivative alive there, which the value at the tick's end
+    would not. `zeta` is taken up to 1: a slower spool is seen as critical.
     """
 
     name = "valve_lag"
@@ -189,7 +189,7 @@ class ValveLag(CommandChannel):
 
 
 class ValveDeadband(CommandChannel):
-    """Overlap of the lands (V4), a width of its own on each side."""
+    """Overlap (V4): opening `max(u - u_dbp, 0)`, and `min(u + u_dbn, 0)` below zero."""
 
     name = "valve_deadband"
     u_dbp: Float[Array, ""] = param(
@@ -246,10 +246,10 @@ class FlowCurve(CommandChannel):
 
 
 class OrificeTransition(OrificeEffect):
-    """Laminar flow below a pressure drop `dP_t` (V10).
+    """Laminar flow below a drop `dP_t` (V10): `Q = c u d / (d^2 + dP_t^2)^(1/4)`.
 
-    The flow lacks `(dP_t / drop)^2 / 4` of the turbulent one: it depends on the square,
-    which is what is stored, for the derivative to `dP_t` itself dies at zero.
+    It lacks `(dP_t / d)^2 / 4` of the turbulent flow: it depends on the square, which
+    is what is stored, for the derivative to `dP_t` itself dies at zero.
     """
 
     name = "orifice_transition"
@@ -263,7 +263,7 @@ class OrificeTransition(OrificeEffect):
 
 
 class Underlap(OrificeEffect):
-    """Edges that are still open by `u_ul` when the spool stands at zero (V5).
+    """Open centre (V5): both sides open by `u_ul` at `u = 0`, one beyond `u_ul`.
 
     A step over which the spool changes sign is taken at its mean.
     """

@@ -40,12 +40,12 @@ def firmware_of(spec: RigFile) -> dict[str, str]:
         "per": "s V " if volts else "s ",
         "estimates": Estimates._fields,
         "units": UNITS,
-        "law": {"h": float(loop.h)} | numbers(loop.law),
+        "law": {"h": float(loop.h)} | law_numbers(loop.law),
     }
     return {name: fill(f"{name}.jinja", **known) for name in ("law.h", "law.c")}
 
 
-def numbers(law: Law) -> dict[str, float | list[float]]:
+def law_numbers(law: Law) -> dict[str, float | list[float]]:
     """What the C law's parameters are, by the names of `law_parameters`; SI."""
     nominal = law.nominal
     chambers, friction = nominal.chambers, nominal.mechanics

@@ -92,7 +92,7 @@ def si_values(
         )
     if name == "u" and not units.fits(unit, want):
         raise InputError(f"{where}: unit {unit!r} is neither V nor 1; give u in either")
-    values = numbers(file, where, column.values)
+    values = as_floats(file, where, column.values)
     with np.errstate(over="ignore"):
         found = units.to_si(values, unit, want, where)
     wild = np.flatnonzero(np.abs(found) > _WILD)
@@ -104,8 +104,8 @@ def si_values(
     return found, want
 
 
-def numbers(file: File, where: str, values: Any) -> np.ndarray:
-    """A column's cells as floats, [n], NaN where empty or infinite."""
+def as_floats(file: File, where: str, values: Any) -> Float[np.ndarray, "rows"]:
+    """A column's cells as floats, NaN where empty or infinite."""
     plain = isinstance(values, (pd.Series, np.ndarray)) and values.dtype.names is None
     if not plain or not values.shape or values.size != max(values.shape):
         raise InputError(f"{where} is not a vector; store it as one")

@@ -164,15 +164,9 @@ def response(seconds: float = 60.0) -> Response:
             scenarios.append(scenario(wanted[-1], 100 + i))
     loops = _repeat(loop, len(scenarios))
     F = np.asarray(_runs(loops, _stack(scenarios), ("F",)))[..., 0]
-    window = signal.get_window("hann", t[settled].size, fftbins=False)
     dB = [
-        20 * np.log10(abs((y[settled] * window) @ e / ((x[settled] * window) @ e)))
-        for x, y, e in zip(
-            wanted,
-            F,
-            [np.exp(-2j * np.pi * f * t[settled]) for f in 2 * HERTZ],
-            strict=True,
-        )
+        _gain_dB(x[settled], y[settled], f, t[settled])
+        for x, y, f in zip(wanted, F, 2 * HERTZ, strict=True)
     ]
     count = len(HERTZ)
     return Response(
@@ -186,6 +180,13 @@ def response(seconds: float = 60.0) -> Response:
             name: within(hertz[keep], dB) for name, dB in zip(BOUNDS, dBs, strict=True)
         },
     )
+
+
+def _gain_dB(asked: np.ndarray, came: np.ndarray, f: float, t: np.ndarray) -> float:
+    """Gain from `asked` to `came` at one frequency, Hz, under a Hann window."""
+    line = np.exp(-2j * np.pi * f * t)
+    line *= signal.get_window("hann", t.size, fftbins=False)
+    return float(20 * np.log10(abs(came @ line / (asked @ line))))
 
 
 def within(

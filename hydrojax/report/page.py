@@ -6,10 +6,13 @@ import base64
 import io
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jinja2
+
+from hydrojax import __version__
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,6 +31,15 @@ class Picture:
     def data(self) -> str:
         """The address that holds the picture itself."""
         return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
+
+
+def made_by(command_line: str) -> dict[str, str]:
+    """What made a report: `version`, `date` and `command_line`."""
+    return {
+        "version": __version__,
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "command_line": command_line,
+    }
 
 
 def as_png(figure: Figure, dpi: int) -> bytes:

@@ -72,23 +72,25 @@ def rig_schema() -> dict[str, Any]:
     }
     for section, keys in wants.items():
         said = {k: KEY_MEANINGS.get(f"{section}.{k}", f"noise of {k}") for k in keys}
-        entries = {k: quantity(u, said[k]) for k, u in keys.items()}
-        sections[section] |= table(entries)
+        entries = {k: quantity_schema(u, said[k]) for k, u in keys.items()}
+        sections[section] |= object_schema(entries)
     out.pop("$defs", None)
     channel = Channel.model_json_schema() | {"description": "the signal's column"}
-    sections["channels"] |= table(dict.fromkeys(SIGNALS, channel))
-    sections["parameters"] |= table(parameters(base_specs()))
+    sections["channels"] |= object_schema(dict.fromkeys(SIGNALS, channel))
+    sections["parameters"] |= object_schema(parameters(base_specs()))
     effects = {
-        name: table(parameters(known)) | {"description": EFFECTS[name].__doc__ or ""}
+        name: object_schema(parameters(known))
+        | {"description": EFFECTS[name].__doc__ or ""}
         for name, known in effect_specs().items()
     }
     # Effects of a user's own are known to hydrojax, not to this schema.
-    sections["effects"] |= table(effects) | {"additionalProperties": {"type": "object"}}
-    sections["controller"] |= table({name: _gain(name) for name in KEYS})
+    sections["effects"] |= object_schema(effects)
+    sections["effects"]["additionalProperties"] = {"type": "object"}
+    sections["controller"] |= object_schema({name: _gain(name) for name in KEYS})
     return out
 
 
-def table(entries: Mapping[str, Any]) -> dict[str, Any]:
+def object_schema(entries: Mapping[str, Any]) -> dict[str, Any]:
     """A table with these keys and no others."""
     return {
         "type": "object",
@@ -97,7 +99,7 @@ def table(entries: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def quantity(unit: str, description: str) -> dict[str, Any]:
+def quantity_schema(unit: str, description: str) -> dict[str, Any]:
     """A number with its unit."""
     plain = [{"type": "number"}] if unit == "1" else []
     shown = unit.replace("{u}", "V")
@@ -121,12 +123,12 @@ def parameters(known: Mapping[str, Spec]) -> dict[str, Any]:
 
 def _parameter(unit: str, description: str, spec: Spec | None) -> dict[str, Any]:
     """One parameter: held, or found within a range."""
-    held = quantity(unit, description)
+    held = quantity_schema(unit, description)
     limits = f"; {spec.lower:g} to {spec.upper:g} at most" if spec else ""
     ends = {"type": "array", "items": {"anyOf": held["anyOf"]}}
-    found = table(
+    found = object_schema(
         {
-            "start": quantity(unit, "where the search starts"),
+            "start": quantity_schema(unit, "where the search starts"),
             "range": ends | {"minItems": 2, "maxItems": 2},
         }
     )

@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.optimize import lsq_linear
 
 from hydrojax.identify.estimation.columns import Batch, ParametricRig, basis, slot_names
@@ -48,7 +48,7 @@ class Linear(NamedTuple):
     """
 
     values: Values
-    where: np.ndarray
+    where: Int[np.ndarray, "k"]
     gram: Float[np.ndarray, "rows rows"]
 
     @classmethod

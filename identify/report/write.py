@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from hydrojax import __version__
 from hydrojax.errors import InputError
 from hydrojax.identify.report import figures, residuals, traces
 from hydrojax.identify.report.explorer import explorer_data
@@ -24,7 +22,7 @@ from hydrojax.identify.results.outcome import (
 from hydrojax.identify.results.report_json import report_json
 from hydrojax.report import markup
 from hydrojax.report.files import digest, write_all
-from hydrojax.report.page import Picture, page
+from hydrojax.report.page import Picture, made_by, page
 from hydrojax.report.text import p_equation, p_text, quantity_text, words
 
 PICTURES = {
@@ -281,11 +279,7 @@ def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None
     and files that are not a report's stay.
     """
     shown = report_pictures(outcome)
-    made = {
-        "version": __version__,
-        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "command_line": command_line,
-    }
+    made = made_by(command_line)
     content = report_json(outcome) | {"made": made}
     if outcome.rig_file:
         content["rig_toml_sha256"] = digest(outcome.rig_file.encode())

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import inspect
+import json
+import re
+
 import jsonschema
+import numpy as np
 import pytest
 
+import hydrojax as hj
 from benchmarks import reference
+from benchmarks.reference.known import FOLDER, KNOWN, MEASURED
+from benchmarks.reference.signatures import digest, look_alikes
 from hydrojax.effects import EFFECTS
+from hydrojax.effects.friction import Stribeck
 from hydrojax.report.schema import report_schema
 
 
@@ -33,6 +42,58 @@ def test_every_declaration_has_its_line(shipped):
         assert f"## {name}\n" in pages["effects.md"]
     assert "`--fail-on`" in pages["commands.md"] and "## init\n" in pages["commands.md"]
     assert "| `k_p` | `V/kN` | 1.2 |" in pages["rig_file.md"]
+
+
+def test_every_effect_has_its_picture_and_how_to_tell_it(shipped):
+    """`python -m benchmarks.reference.signatures` draws and measures them anew."""
+    measured = json.loads(MEASURED.read_text())
+    assert set(measured) == set(KNOWN) == set(EFFECTS)
+    for name, kind in EFFECTS.items():
+        assert (FOLDER / f"{name}.png").stat().st_size < 60_000
+        stale = measured[name]["digest"] != digest(kind)
+        assert not stale, f"{name}: run python -m benchmarks.reference.signatures"
+    assert {p.stem for p in FOLDER.glob("*.png")} == set(EFFECTS)
+
+
+def test_a_changed_law_makes_a_picture_stale(monkeypatch):
+    before = digest(Stribeck)
+    changed = inspect.getsource(Stribeck).replace("** 2", "** 3")
+    monkeypatch.setattr(inspect, "getsource", lambda _: changed)
+    assert digest(Stribeck) != before
+    monkeypatch.setattr(
+        inspect, "getsource", lambda _: changed.replace("** 3", "** 2") + "\n# why"
+    )
+    assert digest(Stribeck) == before
+
+
+def test_effects_that_are_one_thing_are_look_alikes():
+    """Of columns with known angles: a share is a squared cosine."""
+    own = np.eye(3)
+    table = {"a": own[:1], "b": own[:1] + own[1:2], "c": own[2:], "d": own[:2]}
+    found = look_alikes(table, least=0.4)
+    assert found["a"] == {"d": 1.0, "b": 0.5} and found["c"] == {}
+    assert found["b"] == {"d": 1.0, "a": 0.5}
+
+
+def test_every_public_name_has_its_signature():
+    page = reference.pages()["api.md"]
+    for name in hj.__all__:
+        assert f"## hj.{name}\n" in page
+    assert "hj.fit(\n    rig: RigSource," in page
+    assert "- `InputError`: whatever is wrong with rig or logs, in one line." in page
+    assert "**`predict(log: LogSource) -> pd.DataFrame`**" in page
+
+
+def test_every_argument_of_a_public_name_is_described():
+    """Those of functions, and of methods that take any, in their docstrings."""
+    for name in hj.__all__:
+        thing = getattr(hj, name)
+        if inspect.isfunction(thing):
+            said = inspect.getdoc(thing) or ""
+            for argument in inspect.signature(thing).parameters:
+                assert re.search(rf"^ *(\w+, )?{argument}\b.*:", said, re.M), (
+                    f"{name}: {argument}"
+                )
 
 
 def test_the_schema_of_reports_is_one():

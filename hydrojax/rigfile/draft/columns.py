@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from hydrojax import units
 from hydrojax.errors import InputError, check_known
-from hydrojax.logs.columns import numbers
+from hydrojax.logs.columns import as_floats
 from hydrojax.logs.dates import clock_seconds
 from hydrojax.logs.tables import SIGNALS, Column, File
 
@@ -117,7 +117,7 @@ def guess_signals(
         )
     # Pressures without a unit are in that of the largest.
     bare = [
-        _largest(numbers(file, str(file.path), c.values))
+        _largest(as_floats(file, str(file.path), c.values))
         for n, (c, _) in found.items()
         if n.startswith("P_") and not (c.unit or _suffix(c))
     ]
@@ -189,7 +189,7 @@ def _read(
     where = f"{file.path}: column {column.label!r}"
     if name == "time" and (clock := clock_seconds(file, where, column)) is not None:
         return Guess(column, "s", clock, column.name == name, doubts=doubts)
-    values = numbers(file, where, column.values)
+    values = as_floats(file, where, column.values)
     unit, said = column.unit, ()
     if unit is None:
         unit = _suffix(column)

@@ -32,7 +32,7 @@ LABELS = 6
 
 
 @dataclass(frozen=True)
-class Seen:
+class Contents:
     """The content of the page."""
 
     jobs: int
@@ -48,7 +48,7 @@ class Seen:
     labels: list[str]
 
 
-def look(store: Store, keys: Sequence[str]) -> Seen:
+def look(store: Store, keys: Sequence[str]) -> Contents:
     """The content of the page from the merged table; outliers by job."""
     fleet = Fleet(store.folder / "fleet.parquet")
     whole = fleet.columns("job", "verdict", "sentence", "failed")
@@ -59,7 +59,7 @@ def look(store: Store, keys: Sequence[str]) -> Seen:
     apart: dict[str, list[summary.Outlier]] = {}
     for outlier in summary.outliers(fleet):
         apart.setdefault(outlier.job, []).append(outlier)
-    return Seen(
+    return Contents(
         len(whole),
         sorted(verdicts.items(), key=lambda v: -v[1]),
         list(zip(failed["job"], failed["failed"], strict=True))[:LISTED],
@@ -106,7 +106,7 @@ def controller_lines(bounds: FleetBounds) -> list[str]:
     return out
 
 
-def draw_fleet(store: Store, seen: Seen) -> list[Picture]:
+def draw_fleet(store: Store, seen: Contents) -> list[Picture]:
     """The pictures for which there is data."""
     fleet = Fleet(store.folder / "fleet.parquet")
     out = []
@@ -150,7 +150,7 @@ def draw_fleet(store: Store, seen: Seen) -> list[Picture]:
     return out
 
 
-def fleet_page(seen: Seen, shown: Sequence[Picture], title: str) -> str:
+def fleet_page(seen: Contents, shown: Sequence[Picture], title: str) -> str:
     """fleet.html, with its pictures inside."""
     lines = controller_lines(seen.bounds) if seen.bounds else []
     return page(
@@ -165,7 +165,7 @@ def fleet_page(seen: Seen, shown: Sequence[Picture], title: str) -> str:
     )
 
 
-def write_fleet_report(store: Store, keys: Sequence[str], title: str) -> Seen:
+def write_fleet_report(store: Store, keys: Sequence[str], title: str) -> Contents:
     """Write fleet.html and its pictures beside the table.
 
     Args:
