@@ -40,7 +40,7 @@ from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.summary import summarise, with_inputs
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing
-from hydrojax.jax_setup import cores, return_freed_memory
+from hydrojax.jax_setup import cores
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
 from hydrojax.rigfile.build import build_rig, effects_of
@@ -238,8 +238,6 @@ class _Compiling:
     """
 
     EVENT = "/jax/core/compile/backend_compile_duration"
-    LARGE = 1.0
-    """Seconds from which a compilation has taken hundreds of megabytes."""
 
     SPANS: ClassVar[list[tuple[float, float]]] = []
     HEARS: ClassVar[list[bool]] = []
@@ -255,8 +253,6 @@ class _Compiling:
         if event == cls.EVENT:
             now = time.perf_counter()
             cls.SPANS.append((now - duration_secs, now))
-            if duration_secs > cls.LARGE:
-                return_freed_memory()  # before the next one takes more
 
     @property
     def seconds(self) -> float:

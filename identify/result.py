@@ -6,6 +6,7 @@ import textwrap
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -22,6 +23,9 @@ from hydrojax.plant.rig import Rig
 from hydrojax.report.text import p_equation
 from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile
+
+if TYPE_CHECKING:
+    import plotly.graph_objects
 
 
 @dataclass(frozen=True, repr=False)
@@ -188,6 +192,19 @@ class Result:
             InputError: no such picture, or nothing to show in it.
         """
         return plot(self.outcome, picture)
+
+    def explore(self) -> plotly.graph_objects.Figure:
+        """Measured against model over time, to zoom into, in a notebook: see `plot`.
+
+        A menu has every channel of every validation log. It needs plotly
+        (`hydrojax[notebook]`).
+
+        Raises:
+            InputError: plotly is not installed, or there is no residual to show.
+        """
+        from hydrojax.identify.report.interactive import explore
+
+        return explore(self.outcome)
 
     def save(self, folder: str | Path, command_line: str = "") -> None:
         """Write report.json, report.html, its figures and rig.toml into a folder.

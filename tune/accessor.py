@@ -11,6 +11,7 @@ from hydrojax.errors import InputError
 from hydrojax.report import markup
 
 if TYPE_CHECKING:
+    import plotly.graph_objects
     from matplotlib.figure import Figure
 
 
@@ -75,6 +76,21 @@ class Swept:
         if len(selection.axes_of(data)) > 1:
             return maps.map_figure(data, quantity)
         return plots.line_figure(data)
+
+    def explore(self, quantity: str = "within_1dB") -> plotly.graph_objects.Figure:
+        """The sweep with a slider over its last axis, in a notebook: see `plot`.
+
+        Beside the map or line stands the gain of the widest cell at the slider's value.
+        It needs plotly (`hydrojax[notebook]`).
+
+        Raises:
+            InputError: plotly is not installed, no sweep, no axis left of it, or no
+                such quantity.
+        """
+        from hydrojax.tune.interactive import explore
+
+        self._check(quantity)
+        return explore(self.data, quantity)
 
     def plot_bode(self, cells: Mapping[str, Mapping[str, int]] | None = None) -> Figure:
         """Gain and phase of chosen cells by every method, with the plants' range.

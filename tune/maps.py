@@ -88,7 +88,7 @@ def _contours(
     tables: dict[str, xr.DataArray], quantity: str,
 ) -> None:  # fmt: skip
     """A panel of filled contours for each method, on one scale."""
-    levels = _levels(np.concatenate([t.values.ravel() for t in tables.values()]))
+    levels = colour_edges(np.concatenate([t.values.ravel() for t in tables.values()]))
     norm = BoundaryNorm(levels, 256)
     drawn = None
     for ax, m in zip(grid, tables, strict=True):
@@ -120,7 +120,7 @@ def _label_axes(grid: list[Any], data: xr.Dataset, x: str, y: str) -> None:
                 getattr(ax, f"set_{which}scale")("log")
 
 
-def _levels(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k"]:
+def colour_edges(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k"]:
     """Edges of the colours: even over nearly all values, wider and wider up to the top.
 
     A few cells may stand far above all others, which would then share one colour.

@@ -92,8 +92,8 @@ GRACE = 3.0
 
 
 @contextmanager
-def _interruptible() -> Iterator[list[int]]:
-    """Let SIGINT and SIGTERM end a command, whatever it is at; gives those that came.
+def _interruptible(came: list[int]) -> Iterator[None]:
+    """Let SIGINT and SIGTERM end a command, whatever it is at; `came` gets them.
 
     An exception in a callback of compiled code, of the garbage collector or of a
     destructor is swallowed: it is raised again where that can be seen. Where it
@@ -101,9 +101,8 @@ def _interruptible() -> Iterator[list[int]]:
     hears of it, and ends the process when its time is up. What is written is whole or
     not there at any moment.
     """
-    came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield came
+        yield
         return
 
     def interrupt(number: int, _: object) -> NoReturn:
@@ -132,14 +131,14 @@ def _interruptible() -> Iterator[list[int]]:
         else:
             hook(lost)
 
-    signals = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(s, interrupt) for s in signals]
-    hook, sys.unraisablehook = sys.unraisablehook, unraisable
-    wakened = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()
+    hook, sys.unraisablehook = sys.unraisablehook, unraisable
+    wakened = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(s, interrupt) for s in signals]
     try:
-        yield came
+        yield
     finally:
         ended.set()
         signal.set_wakeup_fd(wakened)
@@ -156,15 +155,16 @@ def main() -> None:
 
     1 where `--fail-on` says so; 130 and 143 where a signal stops it.
     """
+    came: list[int] = []
     code = 1
-    with _interruptible() as came:
-        try:
+    try:
+        with _interruptible(came):
             code = _run()
-        except (Exception, SystemExit, KeyboardInterrupt):
-            if not came:  # else it is what became of the interruption on its way
-                raise
-        if came:
-            _leave(128 + came[0])
+    except (Exception, SystemExit, KeyboardInterrupt):
+        if not came:  # else it is what became of the interruption on its way
+            raise
+    if came:
+        _leave(128 + came[0])
     sys.exit(code)
 
 

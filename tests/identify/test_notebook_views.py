@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from hydrojax.errors import InputError
-from hydrojax.identify.report import write
+from hydrojax.identify.report import interactive, write
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.tune import metrics
 from hydrojax.tune.accessor import sentences
@@ -222,3 +224,59 @@ def test_a_tuning_plots_what_its_limits_cost():
         t.plot("step")
     with pytest.raises(InputError, match="no limit was examined"):
         replace(t, relaxed=()).plot("limits")
+
+
+# -- pictures to zoom into and slide through --
+
+
+def test_an_outcome_is_explored_measured_against_model():
+    pytest.importorskip("plotly", reason="plotly is not installed: [notebook]")
+    outcome = explained()
+    figure: Any = interactive.explore(outcome)
+    (menu,) = figure.layout.updatemenus
+    shown = [b.label for b in menu.buttons]
+    s = outcome.series[0]
+    assert shown[: len(s.before)] == [f"{name}, {s.log}" for name in s.before]
+    own = [line for line in figure.data if line.visible]
+    by_name = {line.name: line for line in own}
+    assert {"measured", "model before", "model after"} <= set(by_name)
+    name = next(iter(s.before))
+    good = np.isfinite(s.measured[name])
+    measured = np.asarray(by_name["measured"].y, float)
+    factor = np.nanmax(s.measured[name][good]) / np.nanmax(measured)
+    off = np.asarray(by_name["residual after"].y, float) * factor
+    assert np.nanmax(off) == pytest.approx(np.nanmax(s.after[name]), rel=1e-3)
+    last = menu.buttons[-1].args[0]["visible"]
+    assert len(last) == len(figure.data) and not last[0] and last[-1]
+    rest = replace(outcome, series=())
+    with pytest.raises(InputError, match="no residual"):
+        interactive.explore(rest)
+
+
+def test_a_sweep_slides_over_its_last_axis():
+    pytest.importorskip("plotly", reason="plotly is not installed: [notebook]")
+    data = sweep(one=False)
+    figure = data.hydrojax.explore("peak")
+    (slider,) = figure.layout.sliders
+    assert [float(s.label) for s in slider.steps] == data.k_f.values.tolist()
+    assert slider.currentvalue.prefix == "k_f (V/kN): "
+    for i, step in enumerate(slider.steps):
+        lines = [
+            line
+            for line, seen in zip(figure.data, step.args[0]["visible"], strict=True)
+            if seen
+        ]
+        np.testing.assert_array_equal(lines[0].y, data.linear_peak.isel(k_f=i))
+        assert len(lines) == 2  # the gain of the widest cell of this slice
+        widest = int(np.argmax(data.isel(k_f=i).linear_within_1dB.values))
+        assert f"k_p = {float(data.k_p[widest]):.3g}" in lines[1].name
+    single = sweep(one=True).hydrojax.explore()
+    assert len(single.layout.sliders[0].steps) == len(single.data) / 3
+    with pytest.raises(InputError, match="'gain': expected one of"):
+        data.hydrojax.explore("gain")
+
+
+def test_without_plotly_the_mend_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    with pytest.raises(InputError, match=r"pip install 'hydrojax\[notebook\]'"):
+        sweep(one=False).hydrojax.explore()

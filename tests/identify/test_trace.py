@@ -6,6 +6,7 @@ Scores are checked against plain least squares in NumPy, truths come from the ge
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -22,7 +23,7 @@ from hydrojax.identify.results.report_json import report_json
 from hydrojax.identify.results.unexplained import dependence, spectral_line, unexplained
 from hydrojax.identify.tracing.score import Projection, Score, family, score
 from tests import generator
-from tests.pages import ROOT, TUTORIAL, blocks, differences
+from tests.pages import ROOT, TUTORIAL, blocks, commands, differences
 
 CASES = {
     "none": (1, {}),
@@ -225,6 +226,25 @@ def test_the_tutorial_shows_what_a_trace_prints(traced, capsys):
     (shown,) = (b for b in blocks(TUTORIAL, "text") if b.startswith("explained"))
     print_outcome(traced("stribeck"))
     assert differences(shown, capsys.readouterr().out) == []
+
+
+def test_the_tutorial_goes_on_with_what_was_found(traced, call, tmp_path, monkeypatch):
+    """A spool and a delay are added as the page does it; then a run, and a map."""
+    (tmp_path / "found").mkdir()
+    shell = next(b for b in blocks(TUTORIAL, "bash") if "<<'END'" in b)
+    more = shell.partition("<<'END'\n")[2].partition("\nEND\n")[0]
+    assert "[effects.valve_delay]" in more
+    (tmp_path / "found/rig.toml").write_text(f"{traced('stribeck').rig_file}\n{more}\n")
+    monkeypatch.chdir(tmp_path)
+    for words, begins in (
+        (" simulate found/", "12000 samples"),
+        (" sweep found/", "linear: widest"),
+    ):
+        (line,) = (c for c in commands(TUTORIAL) if words in c)
+        (shown,) = (b for b in blocks(TUTORIAL, "text") if b.startswith(begins))
+        said = call(*shlex.split(line)[1:])
+        assert said.code == 0, said.err
+        assert differences(shown, said.out) == []
 
 
 # -- scores, against plain least squares --

@@ -21,7 +21,7 @@ from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
 from hydrojax.rigfile.quantities import open_setting, quantities
-from hydrojax.tune import measure, metrics, plan, plots, selection, sweep
+from hydrojax.tune import maps, measure, metrics, plan, plots, report, selection, sweep
 from hydrojax.tune.axes import make_axes
 from hydrojax.tune.ensemble import ensemble, from_findings
 from hydrojax.tune.findings import Findings
@@ -448,7 +448,21 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     assert "frozen" in data.attrs["adaptation"]
     names = {p.name for p in out.glob("*.png")}
     assert names == {"map_within_1dB.png", "map_peak.png", "bode.png"}
-    assert "linear: widest within 1 dB" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "linear: widest within 1 dB" in said and "report.html" in said
+    page = (out / "report.html").read_text()
+    assert said.splitlines()[0] in page and "hydrojax sweep " in page
+    assert page.count("data:image/png") == 3 and "://" not in page
+    band = data.linear_within_1dB
+    first, *rest = report.best_cells(data, "linear")
+    best = band.isel(band.argmax(dim=["k_p", "k_f"]))
+    assert first["within_1dB"] == float(best) and first["k_p"] == float(best.k_p)
+    assert all(a["within_1dB"] <= float(best) for a in rest)
+    ax = plots.map_figure(data).axes[0]
+    (mark,) = (line for line in ax.lines if line.get_marker() == "D")
+    at = np.column_stack([mark.get_xdata(), mark.get_ydata()])
+    np.testing.assert_array_equal(at, [[float(best.k_p), float(best.k_f)]])
+    assert f"{float(best):.1f} Hz" in [t.get_text() for t in ax.texts]
     r = data.linear_radius.values
     assert np.any(r > 1) and np.all(np.isnan(data.linear_within_1dB.values[r > 1]))
     text = [t.get_text() for t in plots.map_figure(data).legends[0].get_texts()]
@@ -472,6 +486,14 @@ def test_bad_words_exit_with_2(tmp_path, monkeypatch, capsys, words, says):
     assert done.value.code == 2
     said = capsys.readouterr().err
     assert says in said and said.count("\n") == 1
+
+
+def test_a_cell_far_above_all_others_has_a_colour_of_its_own():
+    """137 Hz in one corner, where all else is below 24 Hz."""
+    edges = maps.colour_edges(np.append(np.linspace(0, 24, 500), [137.4, np.nan]))
+    assert edges[0] == 0 and edges[-1] > 137.4 and np.all(np.diff(edges) > 0)
+    assert np.digitize(137.4, edges) > np.digitize(24.0, edges) + 2
+    assert np.sum(edges < 24) >= 8
 
 
 def test_disagreement_and_saturation_are_on_the_map(setting, known):

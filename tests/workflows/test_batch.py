@@ -512,6 +512,11 @@ def test_outliers_drifts_and_failures_are_named(tmp_path):
     page = (out / "fleet.html").read_text()
     assert "row 8" in page and "row 5" in page and "<b>no" not in page
     assert "stribeck" in page and "://" not in page
+    (single,) = (out / "reports").glob("*.html")
+    assert f'<a href="reports/{single.name}">row 5</a>' in page
+    said = single.read_text()
+    assert "&lt;b&gt;no" in said and "<b>no" not in said
+    assert "hydrojax trace rig.toml log_4.csv --validate" in said
     pictures = {p.name for p in out.glob("*.png")}
     labels = {f"fleet_label_{i}.png" for i in (1, 2, 3)}
     assert pictures == {"fleet_effects.png", "fleet_friction.png", *labels}

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -31,15 +32,28 @@ LABELS = 6
 """Labels that have a picture."""
 
 
+REPORTS = "reports"
+"""Folder of the pages of single jobs."""
+
+
+class Named(NamedTuple):
+    """A job that needs a look: its name, what is to be said of it, and its key."""
+
+    job: str
+    why: str
+    key: str
+
+
 @dataclass(frozen=True)
 class Contents:
     """The content of the page."""
 
     jobs: int
     verdicts: list[tuple[str, int]]
-    failures: list[tuple[str, str]]
+    failures: list[Named]
     reasons: int
-    unknown: list[tuple[str, str]]
+    unknown: list[Named]
+    unknowns: int
     found: list[summary.Found]
     outliers: dict[str, list[summary.Outlier]]
     drifts: list[summary.Drift]
@@ -62,9 +76,10 @@ def look(store: Store, keys: Sequence[str]) -> Contents:
     return Contents(
         len(whole),
         sorted(verdicts.items(), key=lambda v: -v[1]),
-        list(zip(failed["job"], failed["failed"], strict=True))[:LISTED],
+        _named(failed, "failed", keys),
         len(failed),
-        list(zip(unknown["job"], unknown["sentence"], strict=True)),
+        _named(unknown, "sentence", keys),
+        len(unknown),
         summary.effects(fleet, some),
         apart,
         summary.drifts(fleet),
@@ -72,6 +87,43 @@ def look(store: Store, keys: Sequence[str]) -> Contents:
         friction.friction_box(some),
         fleet.labels,
     )
+
+
+def _named(rows: Any, column: str, keys: Sequence[str]) -> list[Named]:
+    """The first rows with what is said of them."""
+    told: Any = rows[:LISTED]
+    at = zip(told.index, told["job"], told[column], strict=True)
+    return [Named(job, why, keys[int(i)]) for i, job, why in at]
+
+
+def job_pages(store: Store, named: Sequence[Named], title: str) -> dict[str, str]:
+    """A page for each job that needs a look, by the name of its file.
+
+    It has what the store keeps of the job, and the command for its full report.
+    """
+    table = Fleet(store.folder / "fleet.parquet").columns(
+        "job", "rig", "fit", "validate"
+    )
+    rows = table.set_index("job")
+    out = {}
+    for job, why, key in named:
+        own = rows.loc[job].fillna("")
+        fit, checks = (str(own[n]).split(";") if own[n] else [] for n in OWN_LOGS)
+        call = ["trace" if checks else "identify", str(own["rig"]), *fit]
+        call += ["--validate", *checks] if checks else []
+        line = shlex.join(["hydrojax", *call, "--out", "report"])
+        out[f"{key}.html"] = page(
+            Path(__file__).parent / "job.html",
+            (quantity_text, words),
+            job=job, why=why, title=title, command=line, rig=own["rig"], fit=fit,
+            validate=checks, record=NOTHING | (store.load(key) or {}),
+        )  # fmt: skip
+    return out
+
+
+OWN_LOGS = ("fit", "validate")
+NOTHING: dict[str, Any] = {"channels": {}, "effects": [], "parameters": {}}
+"""What the store keeps of a job that failed."""
 
 
 def _records(store: Store, keys: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -162,6 +214,7 @@ def fleet_page(seen: Contents, shown: Sequence[Picture], title: str) -> str:
         lines=lines,
         far=FAR,
         listed=LISTED,
+        reports=REPORTS,
     )
 
 
@@ -175,6 +228,11 @@ def write_fleet_report(store: Store, keys: Sequence[str], title: str) -> Content
     """
     seen = look(store, keys)
     shown = draw_fleet(store, seen)
+    single = job_pages(store, [*seen.failures, *seen.unknown], title)
+    folder = store.folder / REPORTS
+    old = [p.name for p in folder.glob("*.html")]
+    if single or old:
+        write_all(folder, {n: text.encode() for n, text in single.items()}, old)
     files = {f"{p.name}.png": p.png for p in shown}
     files["fleet.html"] = fleet_page(seen, shown, title).encode()
     write_all(store.folder, files, [p.name for p in store.folder.glob("fleet_*.png")])
