@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import gc
+import math
 import os
 import sys
 import warnings
@@ -116,30 +117,56 @@ MAPPED = 0.25
 seven fits of rigs that differ in structure, half a gigabyte of programs."""
 
 
-def make_room(share: float = MAPPED) -> bool:
-    """Let go of compiled programs before the process has as many as the kernel allows.
+HELD = 3 * 2**28
+"""Bytes from which a process lets go of its programs as it begins with a rig of another
+structure: those of a trace are 450 to 600 MiB, and all else is 550 MiB."""
+
+_FEW = 0.05
+"""Share of the mappings below which programs are not what takes the memory."""
+
+
+def make_room(share: float = MAPPED, held: float = math.inf) -> bool:
+    """Let go of compiled programs before the process has too many.
 
     XLA maps the parts of a program into memory one by one, some 2300 for a fit. Linux
     gives a process 65,530 mappings (`vm.max_map_count`), and XLA dies where there are
     no more: after fits of some thirty rigs that differ in structure. What is let go
     and needed again comes from the cache on disk, or is compiled again.
 
-    What the compiler has freed goes back to the system, too: the C library would keep
-    some 400 MiB of it for every program.
+    Args:
+        share: of the mappings that the kernel allows, from which all programs go.
+        held: bytes of the process from which they go.
 
     Returns:
         Whether anything was let go; never where the system does not say what it allows.
     """
-    gone = _without_programs(share)
-    _return_freed_memory()
-    return gone
+    gc.collect()
+    return_freed_memory()
+    mapped = _share_mapped()
+    if mapped < share and (mapped < _FEW or resident(os.getpid()) < held):
+        return False
+    import jax
+
+    jax.clear_caches()
+    gc.collect()
+    return_freed_memory()
+    return True
 
 
-def cores() -> int:
-    """How many processor cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+def return_freed_memory() -> None:
+    """Give back to the system what is free: the C library would keep some 400 MiB of
+    what the compiler has freed for every program.
+    """
+    with suppress(OSError, AttributeError):  # another C library has its own ways
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+def resident(pid: int) -> int:
+    """Bytes that a process holds; 0 where the system does not say."""
+    with suppress(OSError, ValueError, IndexError):
+        pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
+        return int(pages) * os.sysconf("SC_PAGE_SIZE")
+    return 0
 
 
 LONG_COMPILE = 1.0
@@ -153,34 +180,27 @@ def _trim_after_compiling() -> None:
     """
     import jax
 
-    def heard(event: str, duration_secs: float, **_: str | int) -> None:
+    def heard(event: str, duration_secs: float, **kwargs: str | int) -> None:
         if duration_secs > LONG_COMPILE and event.endswith("backend_compile_duration"):
-            _return_freed_memory()
+            return_freed_memory()
 
     jax.monitoring.register_event_duration_secs_listener(heard)
 
 
-def _return_freed_memory() -> None:
-    gc.collect()
-    try:
-        ctypes.CDLL("libc.so.6").malloc_trim(0)
-    except (OSError, AttributeError):
-        return  # another C library: it has its own ways
+def cores() -> int:
+    """How many processor cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
-def _without_programs(share: float) -> bool:
-    try:
+def _share_mapped() -> float:
+    """The part of its memory mappings that the process has; 0 where nothing says so."""
+    with suppress(OSError, ValueError, ZeroDivisionError):
         allowed = int(Path("/proc/sys/vm/max_map_count").read_text())
         with open("/proc/self/maps", "rb") as lines:
-            mapped = sum(1 for _ in lines)
-    except (OSError, ValueError):
-        return False
-    if mapped < share * allowed:
-        return False
-    import jax
-
-    jax.clear_caches()
-    return True
+            return sum(1 for _ in lines) / allowed
+    return 0.0
 
 
 def bucket(count: int, least: int = 8) -> int:

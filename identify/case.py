@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from hydrojax import jax_setup
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.identify.preparation.data import Data, driver, prepare_logs, runs_backward
@@ -139,7 +141,6 @@ def open_case(
             "identification needs double precision: before anything else write "
             'jax.config.update("jax_enable_x64", True)'
         )
-    make_room()
     spec = rig if isinstance(rig, RigFile) else RigFile.load(rig)
     if not logs:
         raise InputError(f"{spec.path}: no log to fit: name at least one")
@@ -149,8 +150,24 @@ def open_case(
     )
     spec = _with_command_unit(spec, (*fitted, *others, *tests))
     driver((*fitted, *others, *tests), spec)
+    _make_room(spec, fitted)
     case = _prepared(spec, fitted, others, tests, horizon, criteria)
     return replace(case, read_logs=fitted)
+
+
+Structure = tuple[str | frozenset[str], ...]
+"""What rigs have in common that run the same programs, or nearly."""
+
+_BEFORE: list[Structure] = []
+"""Of the case that was opened last in this process."""
+
+
+def _make_room(spec: RigFile, logs: Sequence[Log]) -> None:
+    """Let go of compiled programs that another structure of rig left behind."""
+    names = (spec.effects, spec.parameters, logs[0].signals)
+    own: Structure = (spec.layout.name, *map(frozenset, names))
+    make_room(held=math.inf if own in _BEFORE else jax_setup.HELD)
+    _BEFORE[:] = [own]
 
 
 def read(log: LogSource, spec: RigFile) -> Log:

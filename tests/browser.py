@@ -184,6 +184,14 @@ class Page:
             "(e => e.scrollWidth - e.clientWidth)(document.documentElement)"
         )
 
+    def cut(self) -> list[str]:
+        """What is wider than its own frame, so that a part of it is out of sight."""
+        return self.ask(
+            "[...document.querySelectorAll('.scroll, .card')]"
+            ".filter(e => e.scrollWidth > e.clientWidth + 1)"
+            ".map(e => e.textContent.trim().slice(0, 60) || e.innerHTML.slice(0, 60))"
+        )
+
     def pictures(self) -> list[tuple[str, int]]:
         """Alternative text and own width of every picture."""
         return self.ask("[...document.images].map(i => [i.alt.trim(), i.naturalWidth])")

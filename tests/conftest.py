@@ -12,7 +12,7 @@ import jax
 import numpy as np
 import pytest
 
-from hydrojax import cli
+from hydrojax import cli, jax_setup
 from hydrojax.jax_setup import make_room, set_up_jax
 from hydrojax.parameters import parameter_specs, put
 from hydrojax.plant.layout import LAYOUTS
@@ -36,6 +36,7 @@ def _pin() -> None:
 
 _pin()
 set_up_jax(CACHE_HOME / "hydrojax")
+jax_setup.HELD = 2**31  # tests take rigs of many structures by turns
 
 GEOMETRY = {"area": 1.18e-3, "chamber_length": 0.2}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import pytest
 
 from hydrojax import jax_setup
 from hydrojax.identify import api
+from hydrojax.identify import case as cases
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation.columns import ParametricRig, basis
 from hydrojax.identify.estimation.misfit import filled, sums
@@ -72,14 +74,21 @@ def test_buckets_hold_what_is_put_in_and_waste_little(count):
     assert len({jax_setup.bucket(n) for n in range(8, 8 * 2**10 + 1)}) <= 4 * 10 + 4
 
 
-def cut(case: Path, folder: Path, rows: int) -> Case:
-    """A recorded case with its logs cut short at their end."""
+def cut_files(source: Path, folder: Path, rows: int) -> Path:
+    """The files of a recorded case with its logs cut short at their end."""
     folder.mkdir()
-    for path in case.glob("*.csv"):
+    (folder / "rig.toml").write_text((source / "rig.toml").read_text())
+    for path in source.glob("*.csv"):
         lines = path.read_text().splitlines()[:-rows]
         (folder / path.name).write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def cut(source: Path, folder: Path, rows: int) -> Case:
+    """A recorded case with its logs cut short at their end."""
+    cut_files(source, folder, rows)
     logs = [folder / "fit_1.csv", folder / "fit_2.csv"]
-    return open_case(case / "rig.toml", logs, [folder / "validate.csv"])
+    return open_case(folder / "rig.toml", logs, [folder / "validate.csv"])
 
 
 def test_programs_on_disk_are_bounded_the_last_used_stay(tmp_path):
@@ -135,3 +144,19 @@ def test_programs_are_let_go_before_the_kernel_runs_out_of_mappings(recorded, tm
     assert mapped() < held - 1000
     again = api.identify(case, starts=1)
     assert again.parameters == before.parameters
+
+
+def test_programs_of_another_structure_go_where_much_is_held(
+    recorded, tmp_path, monkeypatch
+):
+    asked: list[float] = []
+    monkeypatch.setattr(cases, "make_room", lambda held: asked.append(held))
+    monkeypatch.setattr(cases, "_BEFORE", [])
+    one = cut_files(recorded(1), tmp_path / "one", 100)
+    other = cut_files(recorded(1), tmp_path / "other", 100)
+    with (other / "rig.toml").open("a") as file:
+        file.write('\n[effects.internal_leakage]\nc_il = "1e-13 m^3/(s*Pa)"\n')
+    for folder in (one, one, other, other, one):
+        open_case(folder / "rig.toml", [folder / "fit_1.csv"])
+    never, held = math.inf, jax_setup.HELD
+    assert asked == [held, never, held, never, held]

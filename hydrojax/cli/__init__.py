@@ -8,8 +8,9 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -91,16 +92,17 @@ GRACE = 3.0
 
 
 @contextmanager
-def _interruptible() -> Iterator[list[int]]:
-    """Let SIGINT and SIGTERM end a command, whatever it is at; gives those that came.
+def _interruptible(came: list[int]) -> Iterator[None]:
+    """Let SIGINT and SIGTERM end a command, whatever it is at; `came` gets them.
 
-    An exception in a callback of compiled code is swallowed, and Python hears of no
-    signal while such code runs: a thread of its own hears of it, and ends the process
-    when its time is up. What is written is whole or not there at any moment.
+    An exception in a callback of compiled code, of the garbage collector or of a
+    destructor is swallowed: it is raised again where that can be seen. Where it
+    cannot, and while compiled code runs, Python hears of no signal: a thread of its own
+    hears of it, and ends the process when its time is up. What is written is whole or
+    not there at any moment.
     """
-    came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield came
+        yield
         return
 
     def interrupt(number: int, _: object) -> NoReturn:
@@ -109,25 +111,40 @@ def _interruptible() -> Iterator[list[int]]:
 
     reader, writer = socket.socketpair()
     writer.setblocking(False)
+    ended, swallowed = threading.Event(), threading.Event()
 
     def watch() -> None:
         number = reader.recv(1)
-        if number and not ended.wait(GRACE):
-            os._exit(128 + number[0])
+        if not number:
+            return
+        until = time.monotonic() + GRACE
+        while not ended.wait(0.1):
+            if time.monotonic() > until:
+                os._exit(128 + number[0])
+            if swallowed.is_set():
+                swallowed.clear()
+                signal.pthread_kill(threading.main_thread().ident or 0, number[0])
 
-    ended = threading.Event()
-    signals = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(s, interrupt) for s in signals]
-    wakened = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+    def unraisable(lost: Any) -> None:
+        if came and issubclass(lost.exc_type, KeyboardInterrupt):
+            swallowed.set()
+        else:
+            hook(lost)
+
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()
+    hook, sys.unraisablehook = sys.unraisablehook, unraisable
+    wakened = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(s, interrupt) for s in signals]
     try:
-        yield came
+        yield
     finally:
         ended.set()
         signal.set_wakeup_fd(wakened)
         for number, handler in zip(signals, before, strict=True):
             signal.signal(number, handler)
+        sys.unraisablehook = hook
         writer.close()
         thread.join()
         reader.close()
@@ -138,12 +155,31 @@ def main() -> None:
 
     1 where `--fail-on` says so; 130 and 143 where a signal stops it.
     """
-    with _interruptible() as came:
-        _run(came)
+    came: list[int] = []
+    code = 1
+    try:
+        with _interruptible(came):
+            code = _run()
+    except (Exception, SystemExit, KeyboardInterrupt):
+        if not came:  # else it is what became of the interruption on its way
+            raise
+    if came:
+        _leave(128 + came[0])
+    sys.exit(code)
 
 
-def _run(came: list[int]) -> NoReturn:
-    """Run the command line and leave."""
+def _leave(code: int) -> NoReturn:
+    """End the process as it is: Python's own end waits for compiled code, and is SIGINT
+    where an interruption has passed through a text that was executed.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
+
+
+def _run() -> int:
+    """Run the command line; its exit status."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names of files need not be text
             stream.reconfigure(errors="backslashreplace")
@@ -154,14 +190,12 @@ def _run(came: list[int]) -> NoReturn:
     except _CLICK_ERROR as error:
         _usage(error)
     except (typer.Abort, KeyboardInterrupt):
-        code = 1
+        return 1
     except OSError as error:  # a disk that is full, a folder that went away
         _refuse(error)
     except MemoryError:
         _refuse(InputError("out of memory: give it less at a time"))
-    if came:
-        sys.exit(128 + came[0])
-    sys.exit(code if isinstance(code, int) else 0)
+    return code if isinstance(code, int) else 0
 
 
 __all__ = [

@@ -30,6 +30,7 @@ from hydrojax.report.files import digest, write_all
 
 @app.command()
 def simulate(
+    context: typer.Context,
     rig: RigPath,
     gains: Gains = None,
     reference: Annotated[
@@ -56,7 +57,7 @@ def simulate(
     effects: Effects = None,
 ) -> None:
     """Run a rig in closed loop; write the log that it would have given."""
-    check_file(out)
+    check_file(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     import warnings
@@ -87,6 +88,7 @@ def simulate(
 
 @app.command()
 def excite(
+    context: typer.Context,
     rig: RigPath,
     separate: Annotated[
         list[str] | None,
@@ -104,7 +106,7 @@ def excite(
     effects: Effects = None,
 ) -> None:
     """Design the reference and motion that best identify what is not identified."""
-    check_file(out)
+    check_file(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
     from hydrojax import units

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-import tempfile
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -15,7 +14,7 @@ from rich.console import Console
 
 from hydrojax.cli.progress import show_count, show_stages
 from hydrojax.errors import TEXT, InputError, check_known, one_line
-from hydrojax.report.files import check_untouched, claim
+from hydrojax.report.files import check_untouched, claim, claim_file
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -144,22 +143,18 @@ def check_verdicts(named: list[str] | None) -> tuple[str, ...]:
     return tuple(named or ())
 
 
-def check_file(out: Path) -> None:
-    """Refuse a file that cannot be written, before any work."""
+def check_file(context: typer.Context, out: Path) -> None:
+    """Hold a file until the command ends, before any work: see `files.claim_file`.
+
+    Raises:
+        InputError: it is a folder, cannot be written, or another run holds it.
+    """
     if out.is_dir():
         raise InputError(f"{out}: is a folder: name a file with --out")
     for path in out.parents:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file: name a folder with --out")
-    there = next(path for path in out.absolute().parents if path.exists())
-    try:
-        with tempfile.TemporaryFile(dir=there) as probe:
-            probe.write(b" " * 4096)
-    except OSError as err:
-        raise InputError(
-            f"{out}: cannot be written to ({err.strerror}): name another file with "
-            "--out"
-        ) from err
+    context.with_resource(claim_file(out))
 
 
 def load_effects(files: list[Path] | None) -> None:

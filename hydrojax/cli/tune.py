@@ -203,6 +203,7 @@ def tune(
     check_known("--controller:", [k for k in kinds if k], KINDS, "controller")
     found: dict[str, Tuned] = {}
     with show_progress() as progress:
+<<<<<<< HEAD
         for kind in kinds:
             found[kind] = api.tune_gains(
                 _rig_of(source, rig) if folder else source,
@@ -225,6 +226,25 @@ def tune(
         _print(found[kinds[0]])
         console.print(f"tune.json, rig.toml and report.html in {out}")
     if all(tuned.obstacles for tuned in found.values()):
+=======
+        tuned = api.tune_gains(
+            _rig_of(source, rig) if folder else source,
+            free or (),
+            limits,
+            at=read_point(at or ()),
+            aim=_aim(objective, tolerance),
+            plants=ensemble,
+            spread=spread,
+            findings=folder,
+            starts=starts,
+            progress=progress,
+        )
+        progress("draw")
+        tuned.save(out, command_line())
+    _print(tuned)
+    console.print(f"tune.json, rig.toml and report.html in {out}")
+    if tuned.obstacles:
+>>>>>>> main
         raise typer.Exit(1)
 
 

@@ -38,9 +38,11 @@ class Pair:
 
     @property
     def change(self) -> str:
-        """How far b is from a, in per cent of a."""
+        """How far b is from a, in per cent of a, or how many times as large."""
         if self.a is None or self.b is None or not self.a:
             return "–"
+        if self.b / self.a >= 10:
+            return f"× {self.b / self.a:.3g}"
         percent = 100 * (self.b - self.a) / abs(self.a)
         return f"{percent:+.3g} %".replace("-", "−")
 

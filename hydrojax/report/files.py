@@ -137,11 +137,40 @@ def claim(folder: Path) -> Iterator[None]:
     Raises:
         InputError: it cannot be written to, or another run holds it.
     """
+    with _holding(folder / LOCK, folder, "folder"):
+        for draft in folder.glob(f"{DRAFT}*"):
+            shutil.rmtree(draft, ignore_errors=True)
+            with suppress(OSError):
+                draft.unlink(missing_ok=True)
+        settle(folder)
+        yield
+
+
+@contextmanager
+def claim_file(path: Path) -> Iterator[None]:
+    """Hold one file for one run, as `claim` does a folder; its folder is made.
+
+    Raises:
+        InputError: it cannot be written to, or another run holds it.
+    """
+    own = digest(os.fsencode(path.name))[:16]
+    with _holding(path.parent / f"{LOCK}-{own}", path, "file"):
+        yield
+
+
+@contextmanager
+def _holding(lock: Path, what: Path, kind: str) -> Iterator[None]:
+    """Hold a lock file in a folder that is made if it is not there."""
+    folder = lock.parent
     made = [path for path in (folder, *folder.parents) if not path.exists()]
-    lock = folder / LOCK
     try:
         folder.mkdir(parents=True, exist_ok=True)
         held = _locked(lock)
+        if held is None:
+            raise InputError(
+                f"{what}: another run is writing there; wait for it, or name another "
+                f"{kind} with --out"
+            )
         try:
             held.write(b" " * 4096)
             held.flush()
@@ -152,14 +181,9 @@ def claim(folder: Path) -> Iterator[None]:
         _remove(made)
         said = err.strerror or type(err).__name__
         raise InputError(
-            f"{folder}: cannot be written to ({said}): name another folder with --out"
+            f"{what}: cannot be written to ({said}): name another {kind} with --out"
         ) from err
     try:
-        for draft in folder.glob(f"{DRAFT}*"):
-            shutil.rmtree(draft, ignore_errors=True)
-            with suppress(OSError):
-                draft.unlink(missing_ok=True)
-        settle(folder)
         yield
     finally:
         with suppress(OSError):
@@ -175,16 +199,15 @@ def _remove(made: Iterable[Path]) -> None:
             path.rmdir()
 
 
-def _locked(path: Path) -> IO[bytes]:
-    """A lock file, open and locked; the lock goes with the process, however it ends."""
+def _locked(path: Path) -> IO[bytes] | None:
+    """A lock file, open and locked, or None where another process holds it; the lock
+    goes with the process, however it ends.
+    """
     while True:
         file = path.open("ab")
         if not _lock(file):
             file.close()
-            raise InputError(
-                f"{path.parent}: another run is writing there; wait for it, or name "
-                "another folder with --out"
-            )
+            return None
         try:
             if os.path.samestat(os.fstat(file.fileno()), path.stat()):
                 file.truncate(0)

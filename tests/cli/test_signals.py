@@ -33,6 +33,25 @@ def work(context: typer.Context, out: Path, stubborn: bool = False):
             if not stubborn:
                 raise  # otherwise as XLA does with what a callback raises
 
+class Slow:
+    def __del__(self):
+        print("begun", flush=True)
+        time.sleep(60)
+
+@cli.app.command()
+def destroy():
+    slow = Slow()
+    del slow  # whatever a destructor raises is swallowed
+    time.sleep(60)
+
+@cli.app.command()
+def translate():
+    try:
+        print("begun", flush=True)
+        time.sleep(60)
+    except KeyboardInterrupt:
+        raise RuntimeError("as XLA does with what a callback raises")
+
 cli.main()
 """
 
@@ -55,6 +74,22 @@ def test_a_signal_ends_a_command(tmp_path, number, stubborn):
         assert time.monotonic() - sent < cli.GRACE
         assert not out.exists()
     assert not [p for p in Path(tmp_path).rglob("*") if p.suffix == ".json"]
+
+
+@pytest.mark.parametrize("word", ["destroy", "translate"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_that_is_lost_on_its_way_ends_a_command(word, number):
+    process = subprocess.Popen(
+        [sys.executable, "-c", STUBBORN, word],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout and process.stdout.readline() == "begun\n"
+    sent = time.monotonic()
+    process.send_signal(number)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 128 + number
+    assert said == ""
+    assert time.monotonic() - sent < cli.GRACE
 
 
 def test_handlers_are_as_before(call):

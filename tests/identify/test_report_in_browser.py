@@ -10,12 +10,15 @@ import pytest
 
 from hydrojax.identify.report import write
 from hydrojax.identify.results.outcome import Candidate
+from hydrojax.report.compare import compare
+from hydrojax.tune.report import write_sweep
 from tests.browser import Browser, Page
+from tests.identify.test_notebook_views import sweep
 from tests.identify.test_report import OUTCOMES, explained
 from tests.tunings import tuned
 
 WIDTHS = (400, 1600)
-PAGES = (*OUTCOMES, "tuned")
+PAGES = (*OUTCOMES, "tuned", "swept", "compared")
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +35,10 @@ def reports(tmp_path_factory):
     for name, make in OUTCOMES.items():
         write.write_report(make(), top / name)
     tuned().save(top / "tuned")
+    write_sweep(sweep(one=False), top / "swept", "hydrojax sweep rig.toml")
+    (top / "compared").mkdir()
+    found = compare(top / "explained", top / "unknown")
+    (top / "compared" / "report.html").write_text(found.html())
     return top
 
 
@@ -41,9 +48,20 @@ def page(browser, reports):
     return Page(browser, reports / "explained" / "report.html", 1600)
 
 
+def test_a_tap_enlarges_a_picture_on_a_phone(browser, reports):
+    seen = Page(browser, reports / "explained" / "report.html", 400)
+    wide = "document.querySelector('figure img').offsetWidth"
+    before = seen.ask(wide)
+    seen.ask("document.querySelector('figure img').focus()")
+    seen.settle()
+    assert before < 400 and seen.ask(wide) > 600
+    assert seen.overflow() <= 0  # the picture moves in its frame, not the page
+
+
 # -- quiet and whole --
 
 BAD = """<!doctype html><title>bad</title><img src="http://example.org/a.png">
+<div class="scroll" style="overflow-x: auto"><p style="width: 1500px">cut</div>
 <div style="width: 3000px">wide</div><script>console.error("oh"); null.x;</script>"""
 
 
@@ -54,7 +72,7 @@ def test_the_watch_sees_what_a_page_does_wrong(browser, tmp_path):
     said = " ".join(seen.errors())
     assert "oh" in said and "TypeError" in said
     assert seen.requests() == ["http://example.org/a.png"]
-    assert seen.overflow() > 1000
+    assert seen.overflow() > 1000 and len(seen.cut()) == 1
     assert seen.pictures() == [["", 0]]
 
 
@@ -65,8 +83,11 @@ def test_a_report_is_quiet_and_fits_the_screen(browser, reports, name):
         seen.widen(width)
         seen.settle()
         assert seen.overflow() <= 0, width
+        assert seen.cut() == [], width
     shown = seen.pictures()
-    assert shown and all(alt and wide > 0 for alt, wide in shown)
+    assert (shown or name == "compared") and all(
+        alt and wide > 0 for alt, wide in shown
+    )
     assert seen.requests() == [] and seen.errors() == []
 
 

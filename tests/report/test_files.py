@@ -12,7 +12,7 @@ import pytest
 
 from hydrojax.errors import InputError
 from hydrojax.report import files
-from hydrojax.report.files import claim, settle, write_all, write_one
+from hydrojax.report.files import claim, claim_file, settle, write_all, write_one
 
 OLD = {"report.json": b"old", "rig.toml": b"old", "report_loop.png": b"old"}
 NEW = {"report.json": b"new", "rig.toml": b"new"}
@@ -112,26 +112,39 @@ def test_a_folder_made_for_a_run_that_wrote_nothing_goes_again(tmp_path):
 HOLDER = """
 import sys, time
 from pathlib import Path
-from hydrojax.report.files import claim
-with claim(Path(sys.argv[1])):
+from hydrojax.report import files
+with getattr(files, sys.argv[1])(Path(sys.argv[2])):
     print("held", flush=True)
     time.sleep(60)
 """
 
 
-def test_a_second_run_into_the_same_folder_refuses(call, tmp_path):
-    out = tmp_path / "out"
+@pytest.mark.parametrize(
+    ("hold", "name", "words"),
+    [
+        (claim, "out", ("identify", "rig.toml", "log.csv")),
+        (claim_file, "log.csv", ("simulate", "rig.toml")),
+        (claim_file, "log.csv", ("excite", "rig.toml")),
+    ],
+)
+def test_a_second_run_into_the_same_place_refuses(call, tmp_path, hold, name, words):
+    out = tmp_path / name
     first = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(out)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", HOLDER, hold.__name__, str(out)],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         assert first.stdout and first.stdout.readline() == "held\n"
-        said = call("identify", "rig.toml", "log.csv", "--out", out)
+        said = call(*words, "--out", out)
         assert said.code == 2 and "another run is writing there" in said.err
+        with claim_file(tmp_path / "another.csv"):
+            pass
     finally:
         first.kill()
         first.communicate()
     began = time.monotonic()
-    with claim(out):  # a lock does not outlive its process
+    with hold(out):  # a lock does not outlive its process
         pass
     assert time.monotonic() - began < 1
+    assert not [p for p in tmp_path.rglob("*") if p.name.startswith(".")]

@@ -14,16 +14,16 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from hydrojax.jax_setup import cores
+from hydrojax.jax_setup import cores, resident
 from hydrojax.workflows.fleet.work import Done, Task, lost
 
-MEMORY = 3 * 2**30
-"""Bytes a worker may have held before it is replaced: compiled programs stay in it."""
+MEMORY = 3 * 2**29
+"""Bytes a worker may have held before it is replaced: one that has compiled a trace's
+programs has, and one that finds them on disk has not."""
 
 LOOK = 0.5
 """Seconds between two looks at what a task takes."""
@@ -203,14 +203,6 @@ class _Lane(threading.Thread):
             if pipe is not None:
                 pipe.close()
         return code
-
-
-def resident(pid: int) -> int:
-    """Bytes that a process holds; 0 where the system does not say."""
-    with suppress(OSError, ValueError, IndexError):
-        pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
-        return int(pages) * os.sysconf("SC_PAGE_SIZE")
-    return 0
 
 
 def environment(threads: int) -> dict[str, str]:
