@@ -203,7 +203,6 @@ def tune(
     check_known("--controller:", [k for k in kinds if k], KINDS, "controller")
     found: dict[str, Tuned] = {}
     with show_progress() as progress:
-<<<<<<< HEAD
         for kind in kinds:
             found[kind] = api.tune_gains(
                 _rig_of(source, rig) if folder else source,
@@ -219,32 +218,13 @@ def tune(
                 progress=lambda line, kind=kind: progress(f"{kind} {line}".strip()),
             )
             progress("draw")
-            found[kind].save(out / kind if len(kinds) > 1 else out)
+            found[kind].save(out / kind if len(kinds) > 1 else out, command_line())
     if len(kinds) > 1:
         _print_all(found, out)
     else:
         _print(found[kinds[0]])
         console.print(f"tune.json, rig.toml and report.html in {out}")
     if all(tuned.obstacles for tuned in found.values()):
-=======
-        tuned = api.tune_gains(
-            _rig_of(source, rig) if folder else source,
-            free or (),
-            limits,
-            at=read_point(at or ()),
-            aim=_aim(objective, tolerance),
-            plants=ensemble,
-            spread=spread,
-            findings=folder,
-            starts=starts,
-            progress=progress,
-        )
-        progress("draw")
-        tuned.save(out, command_line())
-    _print(tuned)
-    console.print(f"tune.json, rig.toml and report.html in {out}")
-    if tuned.obstacles:
->>>>>>> main
         raise typer.Exit(1)
 
 
