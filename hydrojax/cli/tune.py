@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -187,7 +188,7 @@ def tune(
     from hydrojax.tune.aims import Limits
 
     limits = Limits(peak_dB=peak, sensitivity_dB=margin, noise=noise, tracking=tracking)
-    folder = source if source.is_dir() else None
+    folder = source if os.path.isdir(source) else None
     with show_progress() as progress:
         tuned = api.tune_gains(
             _rig_of(source, rig) if folder else source,
