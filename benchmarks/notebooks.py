@@ -8,6 +8,7 @@ zoom into are not kept: they hold whole logs.
 from __future__ import annotations
 
 import sys
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,9 @@ def kept(cell: Any) -> list[Any]:
 def run(path: Path) -> None:
     """Run a notebook in its folder, and write it back."""
     notebook = nbformat.read(path, as_version=4)
+    own = deepcopy(notebook.metadata)
     nbclient.NotebookClient(notebook, timeout=1800).execute()
+    notebook.metadata = own  # the kernel adds what it is
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)  # the times of its run
         if cell.cell_type == "code":

@@ -16,8 +16,8 @@ from hydrojax.report.text import engineering
 
 SAID = """\
 What a trace can add to the model, and a rig file declare under `[effects.NAME]`. Strengths
-are zero where an effect is absent; the other parameters are its shape. `usual size` in the
-tables is the optimiser's unit of a strength.
+are zero where an effect is absent; the other parameters are its shape. `scale` is the unit in
+which a fit steps: about the least that matters.
 
 The pictures are of one simulated log: a differential cylinder of 12.5 and 9 cm², 14 MPa,
 force of 800 N RMS, motion of up to 20 mm/s, replayed in windows of 0.25 s as `identify` and

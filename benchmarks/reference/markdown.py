@@ -32,7 +32,7 @@ def rows(known: Mapping[str, Spec]) -> Iterator[tuple[str, ...]]:
         yield (f"`{name}`{also}", unit(s.unit), limits, f"{usual:.3g}", s.description)
 
 
-HEADS = ("key", "unit", "limits", "usual size", "meaning")
+HEADS = ("key", "unit", "limits", "scale", "meaning")
 
 
 def doc(thing: object) -> str:

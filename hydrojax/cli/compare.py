@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from hydrojax.cli.identify import print_json
 from hydrojax.cli.options import Json, app, check_out, console
@@ -49,7 +49,8 @@ def compare(
     for name, *there in found.effects:
         where = [n for n, yes in zip(found.names, there, strict=True) if yes]
         console.print(f"{name}: found in {' and '.join(where)}")
-    table = Table("parameter", *found.names, "change", "std")
+    named = Column("parameter", overflow="fold")
+    table = Table(named, *found.names, "change", "std")
     for pair in found.parameters:
         apart = "–" if pair.apart is None else f"{pair.apart:.1f}"
         table.add_row(pair.name, pair.text("a"), pair.text("b"), pair.change, apart)

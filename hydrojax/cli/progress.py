@@ -20,7 +20,6 @@ from rich.progress import (
     Task,
     TextColumn,
     TimeElapsedColumn,
-    TimeRemainingColumn,
 )
 from rich.text import Text
 
@@ -82,6 +81,14 @@ class _Left(ProgressColumn):
         return Text(f"about {_round(left)} left" if left >= 1 else "")
 
 
+class _Remaining(ProgressColumn):
+    """The time that is left of a count, by the speed so far."""
+
+    def render(self, task: Task) -> Text:
+        left = task.time_remaining
+        return Text(f"about {_round(left)} left" if left else "")
+
+
 def _round(seconds: float) -> str:
     """A time as one would say it."""
     if seconds < 90:
@@ -121,7 +128,7 @@ def show_count(console: Console, what: str) -> Iterator[Callable[[int, int], Non
     """A bar of so many done out of so many, with the time that is left."""
     compiling = _Compiling()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-               TextColumn("left"), TimeRemainingColumn(), compiling)  # fmt: skip
+               _Remaining(), compiling)  # fmt: skip
     end = compiling.listen()
     with Progress(
         *columns, console=console, transient=True, disable=not console.is_terminal
@@ -135,7 +142,8 @@ def show_count(console: Console, what: str) -> Iterator[Callable[[int, int], Non
 
 def _kind() -> str:
     """The command, and how much it is given: runs of one kind take about as long."""
-    files = (Path(word) for word in sys.argv[2:])
+    words = zip(sys.argv[1:], sys.argv[2:], strict=False)
+    files = (Path(word) for before, word in words if before != "--out")
     size = sum(path.stat().st_size for path in files if path.is_file())
     return f"{' '.join(sys.argv[1:2])} {size.bit_length()}"
 

@@ -51,6 +51,16 @@ def test_the_second_run_knows_how_long_it_will_take(clock, tmp_path):
     assert left.render(task).plain == ""
 
 
+def test_what_a_run_writes_is_not_what_it_is_given(clock, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["hydrojax", "simulate", "r", "--out", "log.csv"])
+    before = progress._kind()
+    (tmp_path / "log.csv").write_text("1" * 5000)
+    assert progress._kind() == before
+    (tmp_path / "r").write_text("1" * 5000)
+    assert progress._kind() != before
+
+
 def test_a_first_run_promises_nothing(clock):
     assert progress._Left([]).render(None).plain == ""
 

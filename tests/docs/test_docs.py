@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
+import inspect
 import json
 import os
 import re
@@ -18,9 +20,11 @@ import pytest
 import tomlkit
 import typer
 
+import hydrojax as hj
 from hydrojax import cli
 from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.rigfile.schema import RigFile
+from tests.browser import Browser, Page
 from tests.pages import ROOT, TUTORIAL, blocks, commands
 
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
@@ -88,6 +92,19 @@ def test_every_page_is_there(site):
 def test_the_api_pages_hold(site, name):
     text = "".join(p.read_text(encoding="utf-8") for p in (site / "api").glob("*.html"))
     assert f'id="{name}"' in text
+
+
+def test_pages_fit_the_screen(site, tmp_path):
+    """A phone's and a desk's: nothing goes sideways, and no picture is missing."""
+    browser = Browser(tmp_path)
+    try:
+        for name in ("index", "first_report", "reference/effects", "reference/api"):
+            for width in (400, 1600):
+                seen = Page(browser, site / f"{name}.html", width)
+                assert seen.overflow() <= 0, (name, width)
+            assert all(alt and wide for alt, wide in seen.pictures()), name
+    finally:
+        browser.close()
 
 
 FETCHED = re.compile(
@@ -249,3 +266,56 @@ def test_a_rig_file_shown_is_taken(text, tmp_path, own_effects):
     whole = merged({"name": "shown", **BASE}, shown)
     path.write_text(tomlkit.dumps(whole))
     RigFile.load(path)
+
+
+# -- the Python that the pages show --
+
+KINDS = {
+    "result": hj.Result,
+    "rig": hj.RigFile,
+    "run": hj.Simulation,
+    "log": hj.Log,
+}
+"""What the pages call such an object."""
+
+PYTHON = [
+    pytest.param(text, id=f"{path.name} {i}")
+    for path in (*PAGES, README)
+    if path.name != "api.md"
+    for i, text in enumerate(blocks(path, "python"))
+]
+
+
+def unknown_names(code: str) -> list[str]:
+    """Names of `hydrojax`, or of what it gives, that are not there, and calls with
+    arguments that are not taken.
+    """
+    out = []
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            of = hj if node.value.id == "hj" else KINDS.get(node.value.id)
+            if of and not hasattr(of, node.attr) and node.attr not in FIELDS:
+                out.append(f"{node.value.id}.{node.attr}")
+    for node in ast.walk(ast.parse(code)):
+        called = getattr(node, "func", None)
+        if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
+            thing = getattr(hj, called.attr, None) if called.value.id == "hj" else None
+            if callable(thing):
+                taken = inspect.signature(thing).parameters
+                given = [k.arg for k in node.keywords if k.arg]
+                out += [f"hj.{called.attr}({k}=)" for k in given if k not in taken]
+    return out
+
+
+FIELDS = {f for kind in KINDS.values() for f in getattr(kind, "__annotations__", ())}
+
+
+@pytest.mark.parametrize("text", PYTHON)
+def test_python_shown_names_what_is_there(text):
+    assert unknown_names(text) == []
+
+
+def test_python_that_names_what_is_not_there_is_seen():
+    code = "import hydrojax as hj\nrun = hj.simulat(rig)\nhj.fit(rig, logs, tests=[])\n"
+    assert unknown_names(code) == ["hj.simulat", "hj.fit(tests=)"]
+    assert unknown_names("result.plott()") == ["result.plott"]

@@ -119,9 +119,11 @@ def test_what_went_stale_is_seen():
 
 
 @pytest.mark.parametrize("stem", [path.stem for path in NOTEBOOKS])
-def test_notebook_runs(stem, monkeypatch):
+def test_notebook_runs(stem, monkeypatch, cache_home):
     """It draws as many pictures as it keeps, and prints the figures that it keeps."""
     monkeypatch.delenv("HYDROJAX_DATA", raising=False)
+    # What other tests have compiled is not compiled again.
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_home))
     kept = drawn(read(stem))
     done = run(stem)
     if stem not in SMALL:
