@@ -125,7 +125,7 @@ def best_cells(data: xr.Dataset, method: str, most: int = 8) -> list[dict[str, f
     return out
 
 
-def write(t: Tuning, out: Path) -> None:
+def write(t: Tuning, out: Path, command_line: str = "") -> None:
     """Write tune.json, rig.toml, the pictures and report.html into a folder."""
     shown = []
     for name, (figure, alt, caption) in tuning_pictures(t).items():
@@ -144,6 +144,7 @@ def write(t: Tuning, out: Path) -> None:
         sentence=sentence(t),
         limit=limit(t),
         ends=ends(t),
+        made=page.made_by(command_line),
     )
     files["report.html"] = said.encode()
     write_all(out, files)

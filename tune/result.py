@@ -46,9 +46,17 @@ class Tuned(Tuning):
             )
         return figures[picture](self)
 
-    def save(self, folder: str | Path) -> None:
-        """Write tune.json, rig.toml, pictures and report.html into a folder."""
-        report.write(self, Path(folder))
+    def save(self, folder: str | Path, command_line: str = "") -> None:
+        """Write tune.json, rig.toml, pictures and report.html into a folder.
+
+        Args:
+            folder: is made where there is none.
+            command_line: by which the result came about, for the report.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        report.write(self, Path(folder), command_line)
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{n}={v:.4g}" for n, v in self.gains.items())

@@ -77,7 +77,7 @@ def check(
     with show_progress(quiet):
         found = api.check(rig, logs)
     if out is not None:
-        found.save(out)
+        found.save(out, command_line())
     if json:
         print_json(found.to_dict())
     if json or quiet:

@@ -203,7 +203,7 @@ def tune(
             progress=progress,
         )
         progress("draw")
-        tuned.save(out)
+        tuned.save(out, command_line())
     _print(tuned)
     console.print(f"tune.json, rig.toml and report.html in {out}")
     if tuned.obstacles:

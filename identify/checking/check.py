@@ -24,7 +24,7 @@ from hydrojax.identify.report.figures import AFTER, STYLE, png, sheet
 from hydrojax.logs.log import Log
 from hydrojax.report import markup
 from hydrojax.report.files import write_all
-from hydrojax.report.page import Picture, page
+from hydrojax.report.page import Picture, made_by, page
 from hydrojax.report.text import quantity_text
 from hydrojax.rigfile.schema import RigFile
 
@@ -98,8 +98,12 @@ class Checked:
         """The signals of the first log."""
         return _signals_figure(self.read[0])
 
-    def save(self, folder: str | Path) -> None:
+    def save(self, folder: str | Path, command_line: str = "") -> None:
         """Write check.json, check.html and signals.png into a folder.
+
+        Args:
+            folder: is made where there is none.
+            command_line: by which it came about, for the page.
 
         Raises:
             OSError: it cannot be written.
@@ -111,7 +115,7 @@ class Checked:
         own = json.dumps(self.to_dict(), indent=1, allow_nan=False, ensure_ascii=False)
         html = page(
             Path(__file__).parent / "check.html", (quantity_text,), c=self,
-            picture=picture,
+            picture=picture, made=made_by(command_line),
         )  # fmt: skip
         files = {"check.json": f"{own}\n".encode(), "check.html": html.encode()}
         write_all(Path(folder), files | {"signals.png": picture.png})

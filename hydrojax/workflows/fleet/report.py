@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from hydrojax import units
 from hydrojax.identify.report.figures import png
 from hydrojax.report.files import write_all
-from hydrojax.report.page import Picture, page
+from hydrojax.report.page import Picture, made_by, page
 from hydrojax.report.text import p_text, quantity_text, words
 from hydrojax.rigfile import controller
 from hydrojax.rigfile.edit import text
@@ -215,6 +215,7 @@ def fleet_page(seen: Contents, shown: Sequence[Picture], title: str) -> str:
         far=FAR,
         listed=LISTED,
         reports=REPORTS,
+        made=made_by(""),
     )
 
 
