@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike
 
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import ensure_jax
+from hydrojax.rigfile.other_controllers import with_controller
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import sweep as sweeps
 from hydrojax.tune.accessor import Swept as Swept  # so that `data.hydrojax` is known
@@ -135,6 +136,7 @@ def tune_gains(
     spread: float = SPREAD,
     findings: str | Path | None = None,
     starts: int = STARTS,
+    controller: str = "",
     progress: Callable[[str], None] = lambda _: None,
 ) -> Tuned:
     """Find the gains with which F follows F_d best on every plant of an ensemble.
@@ -157,6 +159,8 @@ def tune_gains(
         findings: folder of `identify` or `trace`: its plant and its uncertainty are
             used in place of the file's plant and `spread`.
         starts: number of descents.
+        controller: `adaptive`, `fixed`, `pi`, `linearizing` or `backstepping` in place
+            of what the rig file names, from its first gains.
         progress: called with a line of text at each stage.
 
     Returns:
@@ -168,7 +172,7 @@ def tune_gains(
     """
     ensure_jax()
     progress("read the rig")
-    file = rig_file(rig)
+    file = with_controller(rig_file(rig), controller)
     found = Findings.load(findings) if findings else None
     setting, known = open_rig(file, None, at, (*free, *VALVE), found)
     names = tuple(free) or default_free(setting)

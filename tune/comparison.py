@@ -1,6 +1,9 @@
-"""The old model against the new, and remarks on a tuning."""
+"""The old model against the new, controllers beside each other, remarks on a tuning."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,6 +15,10 @@ from hydrojax.plant.load import Inertia
 from hydrojax.tune.findings import Findings
 from hydrojax.tune.metrics import rig_metrics
 from hydrojax.tune.objective import Objective
+from hydrojax.tune.tuning import Tuning
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Metrics = dict[str, Float[np.ndarray, "plants *rest"]]
 """Metrics of every plant by name, as `Objective.evaluate` gives them."""
@@ -101,3 +108,31 @@ def _rest(objective: Objective, after: Metrics, most: float) -> list[str]:
             "The rig file gives no noise of F: the tuning is not limited by noise."
         )
     return out
+
+
+FIGURES = {
+    "follows_to_Hz": "follows Hz",
+    "within_1dB_Hz": "1 dB Hz",
+    "lag_90_Hz": "90° Hz",
+    "peak_dB": "peak dB",
+    "rms_N": "locked N",
+    "rms_moving_N": "moving N",
+}
+"""What controllers are compared by, by the names of tune.json: bands, the peak, and the
+tracking error's RMS with the joint locked and moving."""
+
+
+def compare_controllers(found: Mapping[str, Tuning]) -> pd.DataFrame:
+    """A row for each controller, tuned on the same plants: `FIGURES` of the worst one.
+
+    `proposed` says whether its gains held in all runs; where they did not, the figures
+    are those of its first gains.
+    """
+    import pandas as pd
+
+    rows = {
+        name: {"proposed": one.proposal.found, **one.proposal.after.figures(None)}
+        for name, one in found.items()
+    }
+    frame = pd.DataFrame.from_dict(rows, orient="index").rename_axis("controller")
+    return frame.loc[:, ["proposed", *FIGURES]]

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hydrojax.control.adaptive import mean_area
 from hydrojax.control.base import Estimates
+from hydrojax.control.inverting import mean_area
 from hydrojax.control.loop import Loop, Scenario
 from hydrojax.control.simulation import PARTS
 from hydrojax.effects.valve import QUEUE, ValveDelay, ValveLag

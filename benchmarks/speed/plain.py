@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from hydrojax.control.adaptive import LEAST_DROP
 from hydrojax.control.base import Estimates
+from hydrojax.control.inverting import LEAST_DROP
 from hydrojax.control.loop import Loop
 from hydrojax.plant.valve import LAMINAR_CORE
 

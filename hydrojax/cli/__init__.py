@@ -44,7 +44,7 @@ def options(
 
 SEVERAL = (
     "--validate", "--test", "--gains", "--separate", "--over", "--by", "--at", "--free",
-    "--to", "--column", "--fail-on",
+    "--controller", "--to", "--column", "--fail-on",
 )  # fmt: skip
 """Options that take all words that follow."""
 

@@ -211,41 +211,27 @@ def paper(context: typer.Context, out: Out = Path("hydrojax-paper")) -> None:
     import json
 
     from hydrojax.identify.report.figures import png
-    from hydrojax.paper import experiments
+    from hydrojax.paper import contents
     from hydrojax.paper.figures import paper_figures
 
     with show_progress() as progress:
-        found = experiments.experiments(progress)
+        found = contents.experiments(progress)
         progress("draw")
         drawn = paper_figures(found)
-        content = experiments.paper_json(found)
+        content = contents.paper_json(found)
     files = {f"{name}.png": png(figure) for name, figure in drawn.items()}
     files["paper.json"] = (json.dumps(content, indent=1) + "\n").encode()
     write_all(out, files)
-    table = Table("RMS, N", "a", "b", "c", "d")
+    table = Table("RMS, N", "a", "b", "c", "d", "the paper says")
     for name in ("fig2", "fig3", "fig4"):
-        table.add_row(name, *(f"{v:.3g}" for v in content[name].values()))
+        figures = (f"{v:.3g}" for v in content[name].values())
+        table.add_row(name, *figures, contents.PAPER_SAYS[name])
     console.print(table)
-    edge = content["fig5"]
-    console.print(
-        f"fig5: within 1 dB to {edge['within_1dB_to_Hz_noise']:.1f} Hz by noise, "
-        f"{edge['within_1dB_to_Hz_sines']:.1f} Hz by sines\n"
-        "the paper: within 1 dB to at least 20 Hz, by both; it prints no bounds of "
-        "k_f, on which this hangs:\n"
-        + "".join(
-            f"  bounds {name}: {_edge(hertz)} by noise\n"
-            for name, hertz in edge["within_1dB_to_Hz_noise_by_bounds_of_k_f"].items()
-        )
-        + f"W (31) rises by at most {content['lyapunov']['largest_rise']:.2g} of its "
-        "start\n"
-        f"minimum supply {content['supply']['least_P_s_Pa'] / 1e6:.2f} MPa; (42) "
-        f"requires {content['supply']['condition_42_Pa'] / 1e6:.1f} MPa\n"
-        f"without friction model {content['ablation']['rms_N']:.3g} N, full law "
-        f"{content['ablation']['full_law_rms_N']:.3g} N\n"
-        f"pictures and paper.json in {out}"
-    )
-
-
-def _edge(hertz: float) -> str:
-    """Up to where a response stays within 1 dB, in words."""
-    return f"within 1 dB to {hertz:.1f} Hz" if hertz else "not within 1 dB anywhere"
+    for line in contents.lines(content):
+        console.print(line)
+    table = Table("reading", "2 (b), N", "2 (c), N", "Fig. 5 within 1 dB")
+    for name, row in content["readings"].items():
+        edge = contents.edge(row["within_1dB"])
+        table.add_row(name, f"{row['fig2_b']:.1f}", f"{row['fig2_c']:.1f}", edge)
+    console.print(table)
+    console.print(f"pictures and paper.json in {out}")

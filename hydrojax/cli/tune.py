@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from hydrojax.cli.options import (
     At,
@@ -102,6 +103,14 @@ Tracking = Annotated[
     float,
     typer.Option(help="Tracking error, joint moving, relative to before.", min=0.1),
 ]
+Controller = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="adaptive, fixed, pi, linearizing or backstepping: all words that follow. "
+        "Several are compared, each in a folder of its own.",
+        show_default="as in the rig file",
+    ),
+]
 Starts = Annotated[int, typer.Option(help="Number of descents.", min=1)]
 
 
@@ -173,41 +182,67 @@ def tune(
     noise: Noise = 0.01,
     tracking: Tracking = 1.0,
     starts: Starts = 2,
+    controller: Controller = None,
     effects: Effects = None,
     out: Out = Path("hydrojax-tune"),
 ) -> None:
     """Find the gains with which the force follows best, and say what limits it.
 
     Gains are proposed only if they hold in simulated runs on every plant; exit 1, and
-    what stands in the way, where there are none.
+    what stands in the way, where there are none (for any controller, of several).
     """
     check_report(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
+    from hydrojax.rigfile.controller import KINDS
     from hydrojax.tune import api
     from hydrojax.tune.aims import Limits
 
     limits = Limits(peak_dB=peak, sensitivity_dB=margin, noise=noise, tracking=tracking)
     folder = source if os.path.isdir(source) else None
+    kinds = list(dict.fromkeys(controller or [""]))
+    check_known("--controller:", [k for k in kinds if k], KINDS, "controller")
+    found: dict[str, Tuned] = {}
     with show_progress() as progress:
-        tuned = api.tune_gains(
-            _rig_of(source, rig) if folder else source,
-            free or (),
-            limits,
-            at=read_point(at or ()),
-            aim=_aim(objective, tolerance),
-            plants=ensemble,
-            spread=spread,
-            findings=folder,
-            starts=starts,
-            progress=progress,
-        )
-        progress("draw")
-        tuned.save(out, command_line())
-    _print(tuned)
-    console.print(f"tune.json, rig.toml and report.html in {out}")
-    if tuned.obstacles:
+        for kind in kinds:
+            found[kind] = api.tune_gains(
+                _rig_of(source, rig) if folder else source,
+                free or (),
+                limits,
+                at=read_point(at or ()),
+                aim=_aim(objective, tolerance),
+                plants=ensemble,
+                spread=spread,
+                findings=folder,
+                starts=starts,
+                controller=kind,
+                progress=lambda line, kind=kind: progress(f"{kind} {line}".strip()),
+            )
+            progress("draw")
+            found[kind].save(out / kind if len(kinds) > 1 else out, command_line())
+    if len(kinds) > 1:
+        _print_all(found, out)
+    else:
+        _print(found[kinds[0]])
+        console.print(f"tune.json, rig.toml and report.html in {out}")
+    if all(tuned.obstacles for tuned in found.values()):
         raise typer.Exit(1)
+
+
+def _print_all(found: Mapping[str, Tuned], out: Path) -> None:
+    """Controllers side by side, and what stands in a controller's way."""
+    from hydrojax.tune.comparison import FIGURES, compare_controllers
+
+    table = Table(Column("controller", no_wrap=True), "held", *FIGURES.values())
+    for row in compare_controllers(found).itertuples():
+        name, proposed, *figures = row
+        cells = (f"{float(value):.1f}" for value in figures)
+        table.add_row(str(name), "yes" if proposed else "no", *cells)
+    console.print(table)
+    for name, tuned in found.items():
+        for line in tuned.obstacles:
+            console.print(f"- {name}: {line}")
+    console.print(f"of the worst of the plants; a folder for each in {out}")
 
 
 def _aim(word: str, tolerance: float) -> AnyAim:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -22,14 +23,9 @@ from hydrojax.control.base import (
     clamp,
     gain,
 )
+from hydrojax.control.inverting import InvertingController, mean_area
 from hydrojax.plant.friction import Theta
 from hydrojax.plant.rig import Rig
-from hydrojax.plant.valve import metering_edges
-
-LEAST_DROP = 1e4
-"""Pressure drop (Pa) below which (18) is inverted as if there were this much: the
-measured pressure may touch P_s or P_r, where the valve's gain vanishes."""
-
 
 VALVE_GAIN = Gain(
     "m^2/(s*V)", math.nan, 0.0, math.inf,
@@ -66,7 +62,44 @@ class ControllerSignals(NamedTuple):
     virtual: Float[Array, "*batch"]
 
 
-class Law(AbstractController):
+class Safeguards(eqx.Module):
+    """What keeps an adaptation from drifting, beside its bounds; the paper has none.
+
+    Each does nothing at its default. See P. A. Ioannou and J. Sun, Robust Adaptive
+    Control, 1996, chapter 8.
+
+    Attributes:
+        dead_zone: N; an error teaches only by what it has beyond this.
+        leakage: 1/s; at this rate an estimate returns to midway between its bounds.
+        saturated: share of the rates that is left while the command saturates; 0 stops
+            the adaptation then.
+    """
+
+    dead_zone: Float[Array, ""] = gain(
+        "N", 0.0, 0.0, 1e4, "error up to which nothing is adapted"
+    )
+    leakage: Float[Array, ""] = gain(
+        "1/s", 0.0, 0.0, 100.0, "rate at which estimates return midway"
+    )
+    saturated: Float[Array, ""] = gain(
+        "1", 1.0, 0.0, 1.0, "share of the rates left while the command saturates"
+    )
+
+    def error(self, e: Float[Array, "..."]) -> Float[Array, "..."]:
+        """What an error (N) teaches with."""
+        return e - clamp(e, -self.dead_zone, self.dead_zone)
+
+    def returned(
+        self, estimates: Estimates, lower: Estimates, upper: Estimates,
+        h: Float[Array, "..."],
+    ) -> Estimates:  # fmt: skip
+        """Estimates after `h` seconds in which nothing is learnt."""
+        keep = jnp.exp(-self.leakage * h)
+        ends = zip(estimates, lower, upper, strict=True)
+        return Estimates(*((a + b) / 2 + keep * (e - (a + b) / 2) for e, a, b in ends))
+
+
+class Law(InvertingController):
     """The controller: gains, adaptation, and the nominal rig.
 
     An estimate starts midway between its bounds. It is adapted where its rate is
@@ -83,6 +116,7 @@ class Law(AbstractController):
         tau_d: time constant of the filtered difference that stands for the rate of
             P_d, s; 0 is the plain difference.
         tau_v: the same for the velocity from the position, s.
+        safeguards: of the adaptation; None as in the paper.
     """
 
     nominal: Rig
@@ -107,6 +141,7 @@ class Law(AbstractController):
     tau_v: Float[Array, ""] = gain(
         "s", 0.0, 0.0, 1.0, "time constant of the velocity from the position"
     )
+    safeguards: Safeguards | None = None
 
     def init(self, measured: Measured, F_d: Float[Array, "..."]) -> Memory:
         """At rest, at the first sample."""
@@ -153,27 +188,38 @@ class Law(AbstractController):
             + self.k_p * (P_d - P)
             + self.k_f * (F_d - measured.F)
         )
-        lead = Estimates(
-            (P_d - P) * P_d_rate,
-            (P_d - P) * swept,
-            *((F_d - measured.F) * y for y in row),
+        u = self.command(virtual, measured)
+        estimates = self._adapted(
+            memory.estimates, (P_d - P, F_d - measured.F), (P_d_rate, swept), row, u, h
         )
-        estimates = Estimates(
-            *(
-                project(*each, h)
-                for each in zip(
-                    memory.estimates, lead, self.rate, self.lower, self.upper,
-                    strict=True,
-                )
-            )
-        )  # fmt: skip
         signals = {
             **ControllerSignals(P, P_d, P_d_rate, v, swept, virtual)._asdict(),
             **memory.estimates._asdict(),
             "L": friction.switch(speed),
         }
         memory = Memory(estimates, measured.x, v, z, speed, P_d, P_d_rate)
-        return memory, self.command(virtual, measured), signals
+        return memory, u, signals
+
+    def _adapted(
+        self,
+        estimates: Estimates,
+        errors: tuple[Float[Array, "..."], Float[Array, "..."]],
+        pressure_row: tuple[Float[Array, "..."], Float[Array, "..."]],
+        force_row: Theta,
+        u: Float[Array, "..."],
+        h: Float[Array, "..."],
+    ) -> Estimates:
+        """What one sample teaches: (28)-(30), errors of P and F in N."""
+        guard = self.safeguards
+        if guard is not None:
+            left = jnp.where(jnp.abs(u) < self.u_max, 1.0, guard.saturated)
+            errors = (left * guard.error(errors[0]), left * guard.error(errors[1]))
+            estimates = guard.returned(estimates, self.lower, self.upper, h)
+        lead = Estimates(
+            *(errors[0] * y for y in pressure_row), *(errors[1] * y for y in force_row)
+        )
+        each = zip(estimates, lead, self.rate, self.lower, self.upper, strict=True)
+        return Estimates(*(project(*one, h) for one in each))
 
     def desired(
         self,
@@ -187,51 +233,6 @@ class Law(AbstractController):
         row = self.nominal.mechanics.regressor(z, v, speed, F_d)
         f = sum(y * k for y, k in zip(row, estimates.theta_f, strict=True))
         return F_d + f, row
-
-    def chi(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
-        """What (19) calls chi, 1/m.
-
-        With two areas, `A_a chi` is `A_1/x_a1 + A_2/x_a2`, A_a their mean over the
-        chambers that push.
-        """
-        x_1, x_2 = self.nominal.chambers.lengths(x)
-        areas = self.nominal.chambers.area_1, self.nominal.chambers.area_2
-        w_1, w_2 = self._pushing()
-        mean = mean_area(self.nominal)
-        return (w_1 * areas[0] / x_1 + w_2 * areas[1] / x_2) / mean
-
-    def command(
-        self, virtual: Float[Array, "..."], measured: Measured
-    ) -> Float[Array, "..."]:
-        """u* from u by (18), saturated."""
-        x_1, x_2 = self.nominal.chambers.lengths(measured.x)
-        w_1, w_2 = self._pushing()
-
-        def root(drop):
-            return jnp.sqrt(jnp.maximum(drop, LEAST_DROP))
-
-        c = metering_edges(self.nominal.valve)
-        up = w_1 * c.c_p1 * root(measured.P_s - measured.P_a1) / x_1
-        up = up + w_2 * c.c_n2 * root(measured.P_a2 - self.P_r) / x_2
-        down = w_1 * c.c_n1 * root(measured.P_a1 - self.P_r) / x_1
-        down = down + w_2 * c.c_p2 * root(measured.P_s - measured.P_a2) / x_2
-        u = -virtual / jnp.where(virtual < 0, up, down)
-        return clamp(u, -self.u_max, self.u_max)
-
-    def _pushing(self) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        """How much of each chamber's pressure reaches P: 1, or 0 where it is open."""
-        n = self.nominal
-        return (
-            n.force_area_1 / n.chambers.area_1,
-            n.force_area_2 / n.chambers.area_2,
-        )
-
-
-def mean_area(rig: Rig) -> Float[Array, "..."]:
-    """A_a of (16)-(23): the mean area of the chambers that push, m^2."""
-    c = rig.chambers
-    w_1, w_2 = rig.force_area_1 / c.area_1, rig.force_area_2 / c.area_2
-    return (w_1 * c.area_1 + w_2 * c.area_2) / (w_1 + w_2)
 
 
 def adaptive_law(controller: AbstractController) -> Law:

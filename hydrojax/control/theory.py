@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.control.adaptive import adaptive_law, mean_area, truth
+from hydrojax.control.adaptive import adaptive_law, truth
 from hydrojax.control.base import Estimates
+from hydrojax.control.inverting import mean_area
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.control.simulation import Run
 from hydrojax.plant.valve import metering_edges
@@ -36,8 +37,7 @@ def lyapunov(loop: Loop, run: Run) -> Float[np.ndarray, "samples"]:
         TypeError: another controller than the paper's law.
     """
     own, law = truth(loop.rig), adaptive_law(loop.law)
-    P = _drive_force(loop, run)
-    W = (run["P_d"] - P) ** 2 * float(own.k_1)
+    W = 2 * tracking_part(loop, run)
     for name in Estimates._fields:
         rate = float(getattr(law.rate, name))
         if rate:
@@ -47,6 +47,12 @@ def lyapunov(loop: Loop, run: Run) -> Float[np.ndarray, "samples"]:
     return W / 2
 
 
+def tracking_part(loop: Loop, run: Run) -> Float[np.ndarray, "samples"]:
+    """What the error of P adds to W of (31) at every sample, [N], N^2/Pa."""
+    P = _drive_force(loop, run)
+    return (run["P_d"] - P) ** 2 * float(truth(loop.rig).k_1) / 2
+
+
 def lyapunov_bound(loop: Loop, run: Run) -> Float[np.ndarray, "samples"]:
     """The bound (35) on the rate of W at every sample, [N], N^2/(Pa s); never > 0."""
     P, law = _drive_force(loop, run), adaptive_law(loop.law)
@@ -54,6 +60,11 @@ def lyapunov_bound(loop: Loop, run: Run) -> Float[np.ndarray, "samples"]:
         -float(law.k_p) * (run["P_d"] - P) ** 2
         - float(law.k_f) * (run.F_d - run["true_F"]) ** 2
     )
+
+
+def largest_fall(part: Float[np.ndarray, "samples"]) -> float:
+    """The largest fall below a running maximum, in the unit of what is given."""
+    return float(np.max(np.maximum.accumulate(part) - part))
 
 
 def largest_rise(W: Float[np.ndarray, "samples"]) -> float:

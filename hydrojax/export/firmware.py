@@ -12,13 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from hydrojax import __version__
-from hydrojax.control.adaptive import LEAST_DROP, Law
+from hydrojax.control.adaptive import Law
 from hydrojax.control.base import Estimates
+from hydrojax.control.inverting import LEAST_DROP
+from hydrojax.errors import InputError
 from hydrojax.export.template import fill
 from hydrojax.export.tree import defaults_taken, rig_tree
+from hydrojax.parameters import specs
 from hydrojax.plant.valve import metering_edges
 from hydrojax.rigfile.build import build_loop
-from hydrojax.rigfile.controller import si, written_unit
+from hydrojax.rigfile.controller import ADAPTIVE, KIND, si, written_unit
 from hydrojax.rigfile.schema import RigFile
 
 UNITS = ("1/Pa", "m^2", *(si(written_unit(name)) for name in Estimates._fields[2:]))
@@ -29,9 +32,15 @@ def firmware_of(spec: RigFile) -> dict[str, str]:
     """`law.h` and `law.c` for a rig, by name.
 
     Raises:
-        InputError: the rig has no valve, or an invalid entry in [controller].
+        InputError: the rig has no valve, an invalid entry in [controller], or another
+            controller than the paper's law.
     """
     loop = build_loop(spec)
+    if not isinstance(loop.law, Law):
+        raise InputError(
+            f"{spec.path}: c: only the paper's law is written as C, not "
+            f"{type(loop.law).__name__}; set {KIND} = {ADAPTIVE!r} under [controller]"
+        )
     volts = spec.command_unit == "V"
     known = {
         "rig": spec.name,
@@ -40,6 +49,7 @@ def firmware_of(spec: RigFile) -> dict[str, str]:
         "per": "s V " if volts else "s ",
         "estimates": Estimates._fields,
         "units": UNITS,
+        "guarded": loop.law.safeguards is not None,
         "law": {"h": float(loop.h)} | law_numbers(loop.law),
     }
     return {name: fill(f"{name}.jinja", **known) for name in ("law.h", "law.c")}
@@ -65,6 +75,9 @@ def law_numbers(law: Law) -> dict[str, float | list[float]]:
         "z_ss": friction.z_ss, "delta": friction.delta,
         "L_slope": friction.L_slope, "L_rate": friction.L_rate,
     }  # fmt: skip
+    guard = law.safeguards
+    if guard is not None:
+        each |= {name: getattr(guard, name) for name in specs(guard)}
     return {name: np.asarray(value).tolist() for name, value in each.items()}
 
 

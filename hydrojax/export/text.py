@@ -12,7 +12,15 @@ import tomlkit
 from scipy.io import savemat
 
 from hydrojax.export.tree import Tree, check_names, rig_tree, signal_units
-from hydrojax.rigfile.controller import KEYS, file_keys, key_unit, si
+from hydrojax.rigfile.controller import (
+    KEYS,
+    KIND,
+    LAWS,
+    file_keys,
+    key_unit,
+    kind_of,
+    si,
+)
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.rigfile.sections import GEOMETRY, LOAD, Entry
 
@@ -115,7 +123,9 @@ def _controller(spec: RigFile) -> Tree:
         unit = si(key_unit(name, spec))
         lower, upper = (_quantity(end, unit) for end in ends)
         out[name] = [lower, upper] if KEYS[name].pair else lower
-    return out
+    kept = spec.controller if kind_of(spec) not in LAWS else {}
+    own = {k: v for k, v in spec.controller.items() if k == KIND or k in kept}
+    return own | out
 
 
 def _inline(content: Mapping[str, Any]) -> Any:

@@ -7,7 +7,7 @@ marked `given: False`, since a reader without hydrojax could not look it up.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,12 @@ from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_loop, build_rig
 from hydrojax.rigfile.controller import (
     KEYS,
+    LAWS,
     PAPER,
     default_bounds,
     file_keys,
     key_unit,
+    kind_of,
     si,
     valve_gain,
     written_unit,
@@ -164,9 +166,13 @@ def _fields(
 def _controller(spec: RigFile) -> Tree:
     """Every key of [controller], the file's or the default; bounds as two values.
 
-    A rig without a valve has no loop: only what its file says.
+    A rig without a valve has no loop: only what its file says. Of another controller
+    than the paper's law these are the gains it declares, and what the file says of the
+    loop.
     """
     given = file_keys(spec)
+    if kind_of(spec) not in LAWS and spec.layout.has_valve:
+        return _loop_keys(spec, given) | _declared(spec)
     ends = _defaults(spec) | given if spec.layout.has_valve else given
     out: Tree = {}
     for name, (lower, upper) in ends.items():
@@ -174,6 +180,25 @@ def _controller(spec: RigFile) -> Tree:
         unit = si(key_unit(name, spec))
         out[name] = {"value": value, "unit": unit, "given": name in given}
     return {name: out[name] for name in KEYS if name in out}
+
+
+def _loop_keys(spec: RigFile, given: Mapping[str, tuple[float, float]]) -> Tree:
+    return {
+        name: {"value": value, "unit": si(key_unit(name, spec)), "given": True}
+        for name, (value, _) in given.items()
+    }
+
+
+def _declared(spec: RigFile) -> Tree:
+    law = build_loop(spec).law
+    return {
+        name: {
+            "value": float(getattr(law, name)),
+            "unit": units.with_command(known.unit, spec.command_unit),
+            "given": name in spec.controller,
+        }
+        for name, known in specs(law).items()
+    }
 
 
 def _defaults(spec: RigFile) -> dict[str, tuple[float, float]]:

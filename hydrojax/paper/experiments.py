@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +19,6 @@ from hydrojax.control.simulation import Trajectory, hold, make_scenario, simulat
 from hydrojax.control.waveforms import band_noise, sinusoidal_path
 from hydrojax.paper.records import (
     Descent,
-    Experiments,
     Response,
     Track,
     reference,
@@ -39,7 +38,13 @@ SPEED, PERIOD = 0.03, 3.0
 NOISE_RMS, NOISE_BAND, SINE = 200.0, 50.0, 100.0
 """The excitation of Fig. 5: noise, N RMS up to Hz, and each sine's amplitude, N."""
 
-HERTZ = (1, 2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30, 35, 40)
+NOISE_SHOWN = 0.8 * NOISE_BAND
+"""Up to where the response to noise is shown, Hz."""
+
+HERTZ = (
+    *(1, 2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30, 35, 40),
+    *(50, 65, 80, 100, 130, 160, 200),
+)
 """Where single sines are tried in Fig. 5."""
 
 Gains = Mapping[str, object]
@@ -80,12 +85,13 @@ BOUNDS: Mapping[str, Gains] = {
 """Bounds of k_fp and k_fn, which the paper does not print: Fig. 5 hangs on them."""
 
 
-def _stack(loops: list[Loop]) -> Loop:
-    return jax.tree.map(lambda *a: jnp.stack(a), *loops)
+def stack(trees: list[Any]) -> Any:
+    """Loops or scenarios side by side, on a first axis."""
+    return jax.tree.map(lambda *a: jnp.stack(a), *trees)
 
 
 @eqx.filter_jit
-def _runs(loops: Loop, scenarios: Any, keep: tuple[str, ...]) -> jax.Array:
+def runs(loops: Loop, scenarios: Any, keep: tuple[str, ...]) -> jax.Array:
     """Runs side by side, [lanes, N, len(keep)]: loops [lanes] on scenarios [lanes]."""
     return jax.vmap(lambda loop, scenario: run(loop, scenario, keep))(loops, scenarios)
 
@@ -94,7 +100,7 @@ def _repeat(tree: Any, count: int) -> Any:
     return jax.tree.map(lambda a: jnp.repeat(a[None], count, axis=0), tree)
 
 
-def _scenario(
+def scenario_of(
     spec: RigFile, F_d: np.ndarray, path: Trajectory, h: float, seed: int | None = None
 ) -> Scenario:
     """A scenario under the rig file's supply."""
@@ -108,13 +114,11 @@ def tracking() -> tuple[dict[str, dict[str, Track]], Track]:
     h = 1e-3
     t = np.arange(round(SECONDS / h)) * h
     F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
-    scenario = _scenario(spec, F_d, sinusoidal_path(SPEED, PERIOD), h, seed=0)
+    scenario = scenario_of(spec, F_d, sinusoidal_path(SPEED, PERIOD), h, seed=0)
     cases = [(f, c, g) for f, own in FIGURES.items() for c, g in own.items()]
     cases.append(("ablation", "", ABLATION))
-    loops = _stack([build_loop(spec, rig, gains) for *_, gains in cases])
-    out = np.asarray(
-        _runs(loops, _repeat(scenario, len(cases)), ("true_F", "P_d", "P"))
-    )
+    loops = stack([build_loop(spec, rig, gains) for *_, gains in cases])
+    out = np.asarray(runs(loops, _repeat(scenario, len(cases)), ("true_F", "P_d", "P")))
     tracks: dict[str, dict[str, Track]] = {}
     for (figure, case, _), table in zip(cases, out, strict=True):
         F, P_d, P = table.T
@@ -138,19 +142,19 @@ def response(seconds: float = 60.0) -> Response:
     rng = np.random.default_rng(5)
 
     def scenario(F_d: np.ndarray, seed: int) -> Scenario:
-        return _scenario(spec, F_d, hold(), h, seed)
+        return scenario_of(spec, F_d, hold(), h, seed)
 
     n = round(seconds / h)
     settled = slice(round(STEADY / h), None)
     F_d = band_noise(rng, n, h, NOISE_RMS, NOISE_BAND)
     same = _repeat(scenario(F_d, 50), len(bounded))
-    F = np.asarray(_runs(_stack(bounded), same, ("F",)))[..., 0]
+    F = np.asarray(runs(stack(bounded), same, ("F",)))[..., 0]
     welch: dict[str, Any] = {"fs": 1 / h, "nperseg": round(1 / h)}
     asked, came = F_d[settled], F[0, settled]
     hertz, cross = signal.csd(asked, F[:, settled], **welch)
     gains = np.abs(cross / signal.welch(asked, **welch)[1])
     coherence = signal.coherence(asked, came, **welch)[1]
-    keep = (hertz >= HERTZ[0]) & (hertz <= HERTZ[-1])
+    keep = (hertz >= HERTZ[0]) & (hertz <= NOISE_SHOWN)
     dBs = 20 * np.log10(gains[:, keep])
 
     n = round((STEADY + 12.0) / h)
@@ -163,7 +167,7 @@ def response(seconds: float = 60.0) -> Response:
             wanted.append(noise + size * np.sin(2 * np.pi * f * t))
             scenarios.append(scenario(wanted[-1], 100 + i))
     loops = _repeat(loop, len(scenarios))
-    F = np.asarray(_runs(loops, _stack(scenarios), ("F",)))[..., 0]
+    F = np.asarray(runs(loops, stack(scenarios), ("F",)))[..., 0]
     dB = [
         _gain_dB(x[settled], y[settled], f, t[settled])
         for x, y, f in zip(wanted, F, 2 * HERTZ, strict=True)
@@ -221,10 +225,10 @@ def descent(
         h = float(loop.h)
         t = np.arange(round(6.0 / h)) * h
         F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
-        scenario = _scenario(spec, F_d, sinusoidal_path(SPEED, PERIOD), h)
+        scenario = scenario_of(spec, F_d, sinusoidal_path(SPEED, PERIOD), h)
         done = simulate_loop(loop, scenario)
         W, bound = theory.lyapunov(loop, done), theory.lyapunov_bound(loop, done)
-        out[rate] = Descent(t, W, bound)
+        out[rate] = Descent(t, W, bound, theory.tracking_part(loop, done))
     return out
 
 
@@ -235,51 +239,5 @@ def supply_of_tracking() -> theory.Supply:
     h = float(loop.h)
     t = np.arange(round(8.0 / h)) * h
     F_d = FORCE * np.sin(2 * np.pi * FORCE_HZ * t)
-    scenario = _scenario(spec, F_d, sinusoidal_path(SPEED, PERIOD), h, seed=0)
+    scenario = scenario_of(spec, F_d, sinusoidal_path(SPEED, PERIOD), h, seed=0)
     return theory.supply(loop, scenario, simulate_loop(loop, scenario))
-
-
-def experiments(progress: Callable[[str], None] = lambda _: None) -> Experiments:
-    """All of the paper's experiments; `progress` is called at each stage."""
-    progress("Figs. 2 to 4: tracking")
-    tracks, ablation = tracking()
-    progress("Fig. 5: white noise and sines")
-    shown = response()
-    progress("Lyapunov function (31)")
-    falls = descent()
-    progress("supply condition (42)")
-    return Experiments(tracks, ablation, shown, falls, supply_of_tracking())
-
-
-def paper_json(found: Experiments) -> dict[str, Any]:
-    """The content of paper.json: N, Hz, dB, Pa."""
-    r = found.response
-    rms = {
-        figure: {case: track.rms for case, track in cases.items()}
-        for figure, cases in found.tracks.items()
-    }
-    rises = {rate: theory.largest_rise(d.W) for rate, d in found.descent.items()}
-    return {
-        **rms,
-        "fig5": {
-            "within_1dB_to_Hz_noise": within(r.noise_hertz, r.noise_dB),
-            "within_1dB_to_Hz_sines": within(r.hertz, r.sines_dB),
-            "within_1dB_to_Hz_sines_alone": within(r.hertz, r.alone_dB),
-            "frequency_Hz": r.hertz.tolist(),
-            "gain_dB_noise": r.at(r.noise_dB).tolist(),
-            "gain_dB_sines": r.sines_dB.tolist(),
-            "gain_dB_sines_alone": r.alone_dB.tolist(),
-            "coherence": r.at(r.coherence).tolist(),
-            "within_1dB_to_Hz_noise_by_bounds_of_k_f": r.by_bounds,
-        },
-        "lyapunov": {
-            "largest_rise": rises[min(rises)],
-            "rate_Hz": list(rises),
-            "largest_rise_at_rate": list(rises.values()),
-        },
-        "supply": {
-            "least_P_s_Pa": found.supply.minimum,
-            "condition_42_Pa": found.supply.condition,
-        },
-        "ablation": {"full_law_rms_N": rms["fig3"]["a"], "rms_N": found.ablation.rms},
-    }

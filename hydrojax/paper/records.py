@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import resources
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -46,17 +47,32 @@ class Response:
     by_bounds: dict[str, float]
 
     def at(self, values: Float[np.ndarray, "m"]) -> Float[np.ndarray, "n"]:
-        """Values over the noise's frequencies, at those of the sines."""
-        return np.interp(self.hertz, self.noise_hertz, values)
+        """Values over the noise's frequencies, at those of the sines; NaN beyond."""
+        return np.interp(self.hertz, self.noise_hertz, values, right=np.nan)
 
 
 @dataclass(frozen=True)
 class Descent:
-    """W of (31) and its bound (35) over time at a matched plant."""
+    """W of (31), its bound (35), and the part of W that the tracking error makes, over
+    time at a matched plant.
+    """
 
     t: Float[np.ndarray, "n"]
     W: Float[np.ndarray, "n"]
     bound: Float[np.ndarray, "n"]
+    tracking: Float[np.ndarray, "n"]
+
+
+class Reproduced(NamedTuple):
+    """What one reading of the paper gives.
+
+    RMS of P_d - P in Figs. 2 (b) and (c), N, and up to where Fig. 5 stays within 1 dB,
+    Hz.
+    """
+
+    fig2_b: float
+    fig2_c: float
+    within_1dB: float
 
 
 @dataclass(frozen=True)
@@ -68,6 +84,7 @@ class Experiments:
     response: Response
     descent: dict[float, Descent]
     supply: theory.Supply
+    readings: dict[str, Reproduced]
 
 
 def reference_rig() -> RigFile:

@@ -29,6 +29,7 @@ from hydrojax.rigfile.controller import (
     read_keys,
     with_gains,
 )
+from hydrojax.rigfile.other_controllers import named_controller
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.rigfile.sections import LANDS
 
@@ -165,6 +166,8 @@ def build_loop(
     law = file.law
     if law is None:
         _check_invertible(file)
+        law = named_controller(file, nominal)
+    if law is None:
         keys |= read_keys(where, gains, file)
         law = make_law(keys, nominal, file, file.line["P_r"])
     else:

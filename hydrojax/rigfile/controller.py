@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -14,14 +15,17 @@ from hydrojax.control.adaptive import (
     VALVE_GAIN,
     VOLT_SECONDS_PER_KILONEWTON,
     Law,
-    mean_area,
+    Safeguards,
 )
 from hydrojax.control.base import ESTIMATES, RATES, AbstractController, Estimates, Gain
+from hydrojax.control.inverting import mean_area
 from hydrojax.control.loop import Loop, Sensors
 from hydrojax.errors import InputError, check_known
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.schema import RigFile
+
+Kept = TypeVar("Kept", bound=AbstractController)
 
 ENCODER = 2 * np.pi / 2**23
 """The paper's absolute encoder of 23 bits: one step, rad."""
@@ -46,6 +50,7 @@ KEYS: Mapping[str, Gain] = _keyed(
     RATES,
     ESTIMATES,
     _GAINS,
+    specs(Safeguards),
     specs(Sensors),
 )
 """What a rig file may say of its controller, by the paper's names: what loop, law and
@@ -63,6 +68,23 @@ PAPER: Mapping[str, float] = {
 }  # fmt: skip
 """Defaults in the paper's units: what it prints, and of what it does not print
 (c_4 to c_7, the two filters) values that do about as much."""
+
+KIND = "kind"
+"""The key of [controller] that says which controller it is."""
+
+ADAPTIVE, FIXED = "adaptive", "fixed"
+
+KINDS: Mapping[str, str] = {
+    ADAPTIVE: "the paper's law",
+    FIXED: "the paper's law without adaptation: its rates are 0",
+    "pi": "PI with velocity feedforward",
+    "linearizing": "P through the inverse of the valve",
+    "backstepping": "backstepping over the spool",
+}
+"""The controllers that a rig file can name."""
+
+LAWS = (ADAPTIVE, FIXED)
+"""Those that are the paper's law."""
 
 Values = dict[str, tuple[float, float]]
 """Keys in SI but for volts, which stay the law's; one value is a pair of equals."""
@@ -105,12 +127,37 @@ def file_keys(spec: RigFile) -> Values:
     Raises:
         InputError: an invalid key, unit or value.
     """
-    return read_keys(f"{spec.path}: [controller]", spec.controller, spec)
+    of_law = kind_of(spec) in LAWS
+    table = {
+        key: value
+        for key, value in spec.controller.items()
+        if key != KIND and (of_law or key in LOOP_KEYS)
+    }
+    keys = read_keys(f"{spec.path}: [controller]", table, spec)
+    if kind_of(spec) == FIXED:
+        keys |= dict.fromkeys(RATES, (0.0, 0.0))
+    return keys
+
+
+def kind_of(spec: RigFile) -> str:
+    """Which of `KINDS` a rig file's controller is.
+
+    Raises:
+        InputError: none of them.
+    """
+    kind = spec.controller.get(KIND, ADAPTIVE)
+    check_known(f"{spec.path}: [controller] {KIND}:", [str(kind)], KINDS, "controller")
+    return str(kind)
+
+
+def full_command(spec: RigFile) -> float:
+    """The command at full opening, where nothing else is said: V or 1."""
+    return 1.0 if spec.command_unit == "1" else 10.0
 
 
 def with_gains(
-    law: AbstractController, gains: Mapping[str, object], spec: RigFile, where: str
-) -> AbstractController:
+    law: Kept, gains: Mapping[str, object], spec: RigFile, where: str
+) -> Kept:
     """A controller with other gains.
 
     Args:
@@ -212,7 +259,8 @@ def make_law(keys: Values, nominal: Rig, spec: RigFile, P_r: float) -> Law:
         if name in keys:
             lower, upper = keys[name]
             bounds[name] = (lower * scale(name), upper * scale(name))
-    full = 1.0 if spec.command_unit == "1" else 10.0
+    given = [name for name in specs(Safeguards) if name in keys]
+    guards = Safeguards(**{name: _array(keys[name][0]) for name in given})
     return Law(
         nominal=nominal,
         k_p=value("k_p"),
@@ -221,9 +269,10 @@ def make_law(keys: Values, nominal: Rig, spec: RigFile, P_r: float) -> Law:
         lower=Estimates(*(_array(bounds[n][0]) for n in Estimates._fields)),
         upper=Estimates(*(_array(bounds[n][1]) for n in Estimates._fields)),
         P_r=_array(P_r),
-        u_max=_array(keys["u_max"][0] if "u_max" in keys else full),
+        u_max=_array(keys["u_max"][0] if "u_max" in keys else full_command(spec)),
         tau_d=value("tau_d"),
         tau_v=value("tau_v"),
+        safeguards=guards if given else None,
     )
 
 

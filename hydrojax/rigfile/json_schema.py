@@ -7,9 +7,10 @@ from typing import Any
 
 from hydrojax.effects import EFFECTS
 from hydrojax.logs.tables import SIGNALS, Channel
-from hydrojax.parameters import Spec
+from hydrojax.parameters import Spec, specs
 from hydrojax.plant.layout import LAYOUTS
-from hydrojax.rigfile.controller import KEYS, written_unit
+from hydrojax.rigfile.controller import KEYS, KIND, KINDS, written_unit
+from hydrojax.rigfile.other_controllers import OTHERS
 from hydrojax.rigfile.sections import (
     GEOMETRY,
     LOAD,
@@ -86,7 +87,15 @@ def rig_schema() -> dict[str, Any]:
     # Effects of a user's own are known to hydrojax, not to this schema.
     sections["effects"] |= object_schema(effects)
     sections["effects"]["additionalProperties"] = {"type": "object"}
-    sections["controller"] |= object_schema({name: _gain(name) for name in KEYS})
+    gains = {name: _gain(name) for name in KEYS}
+    for kind in OTHERS.values():
+        for name, own in specs(kind).items():
+            gains.setdefault(name, quantity_schema(own.unit, own.description))
+    named = {
+        "enum": list(KINDS),
+        "description": "; ".join(map(": ".join, KINDS.items())),
+    }
+    sections["controller"] |= object_schema({KIND: named} | gains)
     return out
 
 

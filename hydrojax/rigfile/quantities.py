@@ -221,7 +221,7 @@ def _controller(spec: RigFile, setting: Setting) -> list[Quantity]:
     fields; `controller.NAME` where the plant has a parameter of that name.
     """
     law = setting.loop.law
-    own = _adaptive(spec) if isinstance(law, Law) else _declared(spec, setting)
+    own = _adaptive(spec, law) if isinstance(law, Law) else _declared(spec, setting)
     rate = Quantity(
         "rate", "Hz", KEYS["rate"].description, reciprocal=True, positive=True,
         reach=lambda s: [s.loop.h],
@@ -253,7 +253,7 @@ def _declared(spec: RigFile, setting: Setting) -> list[Quantity]:
     ]
 
 
-def _adaptive(spec: RigFile) -> list[Quantity]:
+def _adaptive(spec: RigFile, law: Law) -> list[Quantity]:
     """The gains, rates and bounds of the paper's law."""
     volts = valve_gain(file_keys(spec), build_rig(replace(spec, effects={})))
     out = []
@@ -267,6 +267,8 @@ def _adaptive(spec: RigFile) -> list[Quantity]:
 
     for name in specs(Law):
         add(name, name, lambda s, name=name: [getattr(s.loop.law, name)])
+    for name in specs(law.safeguards) if law.safeguards is not None else ():
+        add(name, name, lambda s, name=name: [getattr(s.loop.law.safeguards, name)])
     for name, estimate in zip(RATES, Estimates._fields, strict=True):
         add(name, name, lambda s, e=estimate: [getattr(s.loop.law.rate, e)])
     for name in Estimates._fields:

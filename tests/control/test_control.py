@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hydrojax.control.adaptive import Law, mean_area, project
+from hydrojax.control.adaptive import Law, project
 from hydrojax.control.base import Estimates, Measured
+from hydrojax.control.inverting import mean_area
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import LAYOUTS

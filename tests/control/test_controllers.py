@@ -78,9 +78,9 @@ def test_an_integral_stands_still_while_the_command_saturates():
     measured = jax.tree.map(jnp.asarray, _measured(F=0.0))
     memory = law.init(measured, jnp.asarray(500.0))
     memory, u, _ = law.step(memory, measured, jnp.asarray(500.0), h)
-    assert float(u) == -0.1 and float(memory) == 0.0
+    assert float(u) == -0.1 and float(memory.integral) == 0.0
     memory, u, signals = law.step(memory, measured, jnp.asarray(50.0), h)
-    assert float(memory) == pytest.approx(0.05) and float(signals["error"]) == 50.0
+    assert float(memory.integral) == pytest.approx(0.05) and float(signals["error"]) == 50.0
     assert float(u) == pytest.approx(-(1e-3 * 50 + 1e-2 * 0.05))
 
 

@@ -13,14 +13,16 @@ import pytest
 
 from hydrojax.cli.scenario import read_inputs
 from hydrojax.control import simulation, waveforms
-from hydrojax.control.adaptive import mean_area
+from hydrojax.control.adaptive import Safeguards
 from hydrojax.control.base import Estimates
+from hydrojax.control.inverting import mean_area
 from hydrojax.control.loop import Scenario
 from hydrojax.errors import InputError
 from hydrojax.identify import api as running
 from hydrojax.identify.case import open_case
 from hydrojax.logs.log import Log
 from hydrojax.paper import experiments
+from hydrojax.parameters import specs
 from hydrojax.plant.load import Driven, Inertia
 from hydrojax.plant.places import PLACES
 from hydrojax.rigfile import recording
@@ -72,7 +74,8 @@ SCALES = {
     "A_a": (1.0, True), "k_cp": (1e3, False), "k_cn": (1e3, False),
     "k_0": (1e3, False), "k_vp": (1e3, False), "k_vn": (1e3, False),
     "k_fp": (1.0, False), "k_fn": (1.0, False), "u_max": (1.0, False),
-    "tau_d": (1.0, False), "tau_v": (1.0, False),
+    "tau_d": (1.0, False), "tau_v": (1.0, False), "dead_zone": (1.0, False),
+    "leakage": (1.0, False), "saturated": (1.0, False),
 }  # fmt: skip
 
 _RATES = ("rho_1", "rho_a", *(f"c_{i}" for i in range(1, 8)))
@@ -84,6 +87,8 @@ def found(law, key: str) -> tuple[float, float]:
         return float(getattr(law.lower, key)), float(getattr(law.upper, key))
     if key in _RATES:
         value = float(law.rate[_RATES.index(key)])
+    elif key in specs(Safeguards):
+        value = float(getattr(law.safeguards, key))
     else:
         value = float(getattr(law, key))
     return value, value

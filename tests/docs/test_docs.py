@@ -296,8 +296,9 @@ def unknown_names(code: str) -> list[str]:
             of = hj if node.value.id == "hj" else KINDS.get(node.value.id)
             if of and not hasattr(of, node.attr) and node.attr not in FIELDS:
                 out.append(f"{node.value.id}.{node.attr}")
-    for node in ast.walk(ast.parse(code)):
-        called = getattr(node, "func", None)
+    calls = (n for n in ast.walk(ast.parse(code)) if isinstance(n, ast.Call))
+    for node in calls:
+        called = node.func
         if isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name):
             thing = getattr(hj, called.attr, None) if called.value.id == "hj" else None
             if callable(thing):

@@ -27,6 +27,7 @@ from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import start, step
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.controller import file_keys
+from hydrojax.rigfile.other_controllers import with_controller
 from hydrojax.rigfile.scenarios import rig_scenario
 from hydrojax.rigfile.schema import RigFile
 
@@ -105,7 +106,15 @@ k_cp = "100 N"
 k_cn = "100 N"
 """
 
-LAWS = {"reference": REFERENCE, "every": EVERY, "rich": RICH, "single": SINGLE}
+GUARDED = REFERENCE.replace(
+    "[controller]",
+    '[controller]\nleakage = "0.4 1/s"\ndead_zone = "15 N"\nsaturated = 0.3\n'
+    'u_max = "0.3 V"',
+)
+LAWS = {
+    "reference": REFERENCE, "every": EVERY, "rich": RICH, "single": SINGLE,
+    "guarded": GUARDED,
+}  # fmt: skip
 
 
 def spec_of(text, tmp_path):
@@ -347,6 +356,8 @@ def test_the_law_in_c_is_the_law_of_the_simulator(case, tmp_path, compiler):
     for i, name in enumerate(names):
         size = np.max(np.abs(run[name]))
         assert np.max(np.abs(estimates[:, i] - run[name])) <= 1e-9 * size, name
+    if case == "guarded":  # all that the safeguards do was done
+        assert 0.02 < np.mean(np.abs(run["u"]) >= 0.3) < 0.98
     moved = [name for name in names if np.ptp(run[name]) > 0]
     adapted = [n for n, r in zip(names, loop.law.rate, strict=True) if float(r) > 0]
     assert moved == adapted and len(adapted) == (9 if case == "every" else 8)
@@ -688,3 +699,15 @@ def test_the_command_line_refuses_to_overwrite_the_rig(tmp_path):
         "hydrojax: rig.toml: would be overwritten; name another folder with --out"
     )
     assert (tmp_path / "rig.toml").read_text() == REFERENCE
+
+
+def test_only_the_papers_law_is_written_as_c(tmp_path):
+    spec = with_controller(spec_of(REFERENCE, tmp_path), "pi")
+    with pytest.raises(InputError, match="not PIController; set kind = 'adaptive'"):
+        export.export(spec, ["c"])
+    tree = json.loads(one(spec, "json"))["controller"]
+    assert {"k_p", "k_i", "k_v", "rate"} <= set(tree) and "kappa" not in tree
+    (tmp_path / "out.toml").write_bytes(one(spec, "toml"))
+    again = RigFile.load(tmp_path / "out.toml")
+    assert again.controller["kind"] == "pi"
+    assert file_keys(again) == file_keys(spec)
