@@ -80,7 +80,8 @@ def test_an_integral_stands_still_while_the_command_saturates():
     memory, u, _ = law.step(memory, measured, jnp.asarray(500.0), h)
     assert float(u) == -0.1 and float(memory.integral) == 0.0
     memory, u, signals = law.step(memory, measured, jnp.asarray(50.0), h)
-    assert float(memory.integral) == pytest.approx(0.05) and float(signals["error"]) == 50.0
+    assert float(memory.integral) == pytest.approx(0.05)
+    assert float(signals["error"]) == 50.0
     assert float(u) == pytest.approx(-(1e-3 * 50 + 1e-2 * 0.05))
 
 
