@@ -15,18 +15,21 @@ import argparse
 import json
 import os
 import random
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .mutations import BYTES, HARM, damaged_log, damaged_rig
-from .samples import samples
+from .samples import samples, write_bag_folder
 
 SECONDS = 5.0
 MEMORY = 2**30
@@ -133,24 +136,76 @@ def read_plan(path: Path) -> None:
     Chunks(folder, "question", "key").claim()
 
 
+@cache
+def _of_words() -> list[Callable[[str], object]]:
+    """What reads a word of the command line."""
+    from hydrojax import units
+    from hydrojax.cli import scenario, words
+    from hydrojax.paper.records import reference
+    from hydrojax.rigfile.controller import read_keys
+
+    spec = reference()[0]
+    return [
+        lambda word: words.read_axes([word]),
+        lambda word: words.read_point([word]),
+        lambda word: words.read_columns([word]),
+        lambda word: read_keys("--gains", words.read_gains([word]), spec),
+        lambda word: scenario.read_inputs(spec, reference=word),
+        lambda word: scenario.read_inputs(spec, motion=word),
+        lambda word: units.split(word, "word"),
+        lambda word: units.quantity(word, "Pa", "word"),
+    ]
+
+
 def read_words(path: Path) -> None:
     """Words of the command line, as many lines as there are."""
-    from hydrojax import units
-    from hydrojax.cli import words
     from hydrojax.errors import InputError
 
     for line in path.read_text(errors="replace").splitlines():
-        for read in (words.read_axes, words.read_point, words.read_gains):
+        for read in _of_words():
             try:
-                read([line])
+                read(line)
             except InputError as error:
-                _printable(error)
-        units.split(line, "word")
-        units.quantity(line, "Pa", "word")
+                if fault := _printable(error):
+                    raise ValueError(fault) from error
+
+
+@cache
+def _setting() -> Any:
+    from hydrojax.paper.records import reference
+    from hydrojax.rigfile.quantities import open_setting
+
+    return open_setting(reference()[0])
+
+
+def read_findings(path: Path) -> None:
+    """A folder of a report, as `--from` takes it: the plant that it found."""
+    from hydrojax.tune.findings import Findings
+
+    folder = path.parent / "trace"
+    folder.mkdir(exist_ok=True)
+    path.replace(folder / "report.json")
+    Findings.load(folder).apply(_setting())
+
+
+def read_bag_folder(path: Path) -> None:
+    """A ROS 2 bag of which one file is damaged."""
+    sound, folder = path.parent / "sound", path.parent / "ros2bag"
+    if not sound.exists():
+        write_bag_folder(sound)
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(sound, folder)
+    path.replace(folder / path.name)
+    from hydrojax.logs.log import Log
+    from hydrojax.logs.tables import Channel
+
+    bag = {"x": Channel(column="/rig.data", unit="mm")}
+    Log.load(folder, bag)
 
 
 WORDS = (
     b"k_p=0.2:4:48\nbeta=5e8:1e9:9:log\nload.mass=50 kg:300 kg:16\nv=0,0.01\n5 bar\n"
+    b"sine:300 N,0.5 Hz\nto-and-fro:3 cm/s,3 s\nA_a=6 V*s,15 V*s\nu=MainU\n"
 )
 
 READERS: dict[str, tuple[str, Callable[[Path], None]]] = {
@@ -159,6 +214,9 @@ READERS: dict[str, tuple[str, Callable[[Path], None]]] = {
         "log.xlsx", "log.mcap")},
     "rig.toml": ("rig.toml", read_rig),
     "report.json": ("report.json", read_report),
+    "from": ("report.json", read_findings),
+    "metadata.yaml": ("bag/metadata.yaml", read_bag_folder),
+    "bag.db3": ("bag/bag.db3", read_bag_folder),
     "jobs.csv": ("jobs.csv", read_table),
     "result": ("fleet/jobs/ab/ab12.json", read_result),
     "chunk": ("sweep/parts/linear-4-key-00000.npz", read_chunk),
@@ -170,8 +228,6 @@ READERS: dict[str, tuple[str, Callable[[Path], None]]] = {
 
 def one(seed: int, folder: Path, place: Path) -> tuple[str, str]:
     """Read the input of a seed: which it was, and its fault."""
-    from hydrojax.errors import InputError
-
     r = random.Random(seed)
     known = [n for n, (p, _) in READERS.items() if not p or (folder / p).exists()]
     name = r.choice(known)
@@ -185,15 +241,22 @@ def one(seed: int, folder: Path, place: Path) -> tuple[str, str]:
         content = damaged(content, r)
     path = place / name
     path.write_bytes(content)
+    return name, fault_of(read, path)
+
+
+def fault_of(read: Callable[[Path], None], path: Path) -> str:
+    """Why a file is neither read nor refused in one line; "" where it is."""
+    from hydrojax.errors import InputError
+
     try:
         read(path)
     except InputError as error:
-        return name, _printable(error)
+        return _printable(error)
     except MemoryError:
-        return name, "MemoryError"
+        return "MemoryError"
     except Exception as error:
-        return name, f"{type(error).__name__}: {str(error)[:100]}"
-    return name, ""
+        return f"{type(error).__name__}: {str(error)[:100]}"
+    return ""
 
 
 def _printable(error: Exception) -> str:

@@ -47,6 +47,8 @@ def samples(folder: Path) -> None:
             file[f"{name}_unit"].attrs["MATLAB_class"] = np.bytes_("char")
     _excel(folder / "log.xlsx", frame)
     _bag(folder / "log.mcap", frame)
+    if not (folder / "bag").exists():
+        write_bag_folder(folder / "bag")
     (folder / "rig.toml").write_text(reference()[0].text)
     report = {
         "format": "hydrojax-report/1", "rig": "bench", "verdict": "explained",
@@ -87,3 +89,23 @@ def _bag(path: Path, frame: pd.DataFrame) -> None:
         writer.add_message(channel, i * 10**7, data, i * 10**7)
     writer.finish()
     path.write_bytes(store.getvalue())
+
+
+def write_bag_folder(folder: Path) -> None:
+    """A ROS 2 bag of one topic with a number, if the library is there."""
+    try:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        return
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = "std_msgs/msg/Float64"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        link = writer.add_connection("/rig", kind, typestore=store)
+        for i, x in enumerate(run()["x [mm]"]):
+            data = store.serialize_cdr(store.types[kind](data=x), kind)
+            writer.write(link, i * 10**7, data)
+    found = next(folder.glob("*.db3"))
+    meta = folder / "metadata.yaml"
+    meta.write_text(meta.read_text().replace(found.name, "bag.db3"))
+    found.rename(folder / "bag.db3")

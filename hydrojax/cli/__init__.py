@@ -18,7 +18,7 @@ import typer
 from hydrojax import __version__
 from hydrojax.cli import batch, compare, export, identify, init, loop, tune
 from hydrojax.cli.options import app, console, errors
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, one_line
 
 
 def _version(wanted: bool) -> None:
@@ -67,7 +67,7 @@ def spread(words: list[str]) -> list[str]:
 
 
 def _refuse(error: Exception) -> NoReturn:
-    errors.print(f"hydrojax: {error}", style=None, soft_wrap=True)
+    errors.print(f"hydrojax: {one_line(error)}", style=None, soft_wrap=True)
     sys.exit(2)
 
 

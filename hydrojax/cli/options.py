@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 from collections.abc import Callable
@@ -119,7 +120,7 @@ def check_out(context: typer.Context, out: Path) -> None:
         InputError: it is no folder, cannot be written to, or another run holds it.
     """
     for path in (out, *out.parents):
-        if path.exists() and not path.is_dir():
+        if os.path.exists(path) and not os.path.isdir(path):
             raise InputError(f"{path}: is a file: name a folder with --out")
     context.with_resource(claim(out))
 
@@ -149,10 +150,10 @@ def check_file(context: typer.Context, out: Path) -> None:
     Raises:
         InputError: it is a folder, cannot be written, or another run holds it.
     """
-    if out.is_dir():
+    if os.path.isdir(out):
         raise InputError(f"{out}: is a folder: name a file with --out")
     for path in out.parents:
-        if path.exists() and not path.is_dir():
+        if os.path.exists(path) and not os.path.isdir(path):
             raise InputError(f"{path}: is a file: name a folder with --out")
     context.with_resource(claim_file(out))
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
-from pathlib import Path
 from typing import TypeVar
 
 from hydrojax import units
@@ -63,7 +63,7 @@ def _log(word: str, kinds: Mapping[str, object], spec: RigFile) -> Log | None:
     """The log that a word names, if it names one."""
     if word.partition(":")[0] in kinds:
         return None
-    if word.lower().endswith((*TABLES, ".mcap")) or Path(word).exists():
+    if word.lower().endswith((*TABLES, ".mcap")) or os.path.exists(word):
         return Log.load(word, spec.channels)
     near = get_close_matches(word.partition(":")[0], kinds, n=1, cutoff=0.5)
     mend = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(kinds)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -198,7 +199,7 @@ def tune(
     from hydrojax.tune.aims import Limits
 
     limits = Limits(peak_dB=peak, sensitivity_dB=margin, noise=noise, tracking=tracking)
-    folder = source if source.is_dir() else None
+    folder = source if os.path.isdir(source) else None
     kinds = list(dict.fromkeys(controller or [""]))
     check_known("--controller:", [k for k in kinds if k], KINDS, "controller")
     found: dict[str, Tuned] = {}

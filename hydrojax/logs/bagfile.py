@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hydrojax.errors import SPARED, InputError
+from hydrojax.errors import SPARED, TEXT, InputError, file_text
 from hydrojax.logs.tables import unreadable
 
 if TYPE_CHECKING:
@@ -24,6 +26,12 @@ _CHUNK = 6
 _TEXT, _FIELDS, _ELEMENTS, _NUMBERS = 2**18, 2000, 100, 1_000_000
 """Most bytes of a message's description, its fields, and elements of a fixed array: of
 texts or messages, and of numbers."""
+
+_DEEP = 16
+"""Lists and tables within each other in a bag's metadata.yaml."""
+
+_CHAINED = re.compile(rf"(?:[-?:][ \t]+){{{_DEEP}}}")
+"""Such lists without brackets, on one line."""
 
 
 class Message(NamedTuple):
@@ -164,11 +172,27 @@ def _channels(reader: McapReader) -> Iterator[tuple[Schema | None, Channel, int]
         yield schema, channel, counts.get(channel.id, 0)
 
 
+def _check_metadata(path: Path) -> None:
+    """Refuse a description of a bag that is nested as none is: reading it takes a time
+    that grows with the square of its depth, or faster.
+    """
+    if not path.exists():
+        return
+    text = file_text(path, TEXT, "record the bag again, or try `ros2 bag reindex`")
+    depth = accumulate(1 if c in "[{" else -1 for c in text if c in "[]{}")
+    if max(depth, default=0) > _DEEP or _CHAINED.search(text):
+        raise InputError(
+            f"{path}: is nested more than {_DEEP} deep, as no bag's description is; "
+            "record the bag again, or try `ros2 bag reindex`"
+        )
+
+
 @contextmanager
 def _rosbag(path: Path) -> Iterator[Bag]:
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.rosbag2 import Reader
 
+    _check_metadata(path / "metadata.yaml")
     with Reader(path) as reader:
 
         def decoder(topic: str) -> Callable[[bytes], Any]:

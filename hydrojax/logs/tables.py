@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -83,7 +84,7 @@ def read_table(path: Path) -> File:
         raise InputError(
             f"{path}: not a kind of log; save it as {', '.join(TABLES)} or .mcap"
         )
-    if not path.is_file():
+    if not os.path.isfile(path):  # whatever the name is
         raise InputError(f"{path}: no such file; check the path")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; export the log again")
@@ -103,7 +104,7 @@ def read_table(path: Path) -> File:
 
 def is_bag(path: Path) -> bool:
     """Whether a path names what `read_bag` reads: .mcap, .db3, or any folder."""
-    return path.suffix.lower() in (".mcap", ".db3") or path.is_dir()
+    return path.suffix.lower() in (".mcap", ".db3") or os.path.isdir(path)
 
 
 def table_of(frame: pd.DataFrame, units: Mapping[str, str], name: str) -> File:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -25,12 +26,13 @@ def read_report(folder: str | Path) -> Report:
     path = folder
     if folder.suffix != ".json":
         path = folder / "report.json"
-        if not path.is_file() and not (folder.is_dir() and path.exists()):
+        if os.path.isdir(folder):
+            settle(folder)
+        if not os.path.exists(path):
             raise InputError(
                 f"{path}: no report.json there: expected a folder that identify or "
                 "trace has written (--out)"
             )
-        settle(folder)
     text = file_text(path, REPORT, "expected the report.json of identify or trace")
     try:
         report = Report.model_validate_json(text)

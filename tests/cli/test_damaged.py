@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.damage import __main__ as damage
-from benchmarks.damage import readers
+from benchmarks.damage import fuzz, readers
 from benchmarks.damage.mutations import damaged_log, damaged_rig
 from benchmarks.damage.samples import samples
 from hydrojax import units
@@ -273,3 +273,33 @@ def test_a_reader_at_fault_is_found(sound, tmp_path, monkeypatch):
 
     monkeypatch.setattr(readers, "READERS", {"words": ("", broken)})
     assert readers.one(0, sound, tmp_path) == ("words", "KeyError: 'words'")
+
+
+def test_what_fuzzing_kept_is_read_or_refused(sound, tmp_path):
+    table = fuzz.kept()
+    assert set(table) <= set(readers.READERS) and table["rig.toml"]
+    assert fuzz.CORPUS.stat().st_size < 2**18
+    for kind, contents in table.items():
+        for content in contents:
+            (tmp_path / kind).write_bytes(content)
+            assert not readers.fault_of(readers.READERS[kind][1], tmp_path / kind)
+
+
+def test_fuzzing_keeps_what_reaches_something_new(sound, tmp_path):
+    """It is led into a branch by the word in it, which no sample holds."""
+    from hydrojax.cli.words import read_axes
+
+    coverage = fuzz.Coverage()
+    for text, new in (
+        ("k_p=1:2:3", True),
+        ("k_p=4:5:6", False),
+        ("k_p=1:2:3:log", True),
+    ):
+        with coverage:
+            read_axes([text])
+        assert bool(coverage.news()) == new, text
+    assert b"log" in coverage.words()
+    assert {Path(c.co_filename).name for c in coverage.codes} <= {
+        "words.py",
+        "units.py",
+    }

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.damage.samples import write_bag_folder
 from hydrojax.errors import InputError
 from hydrojax.logs.log import Log
 from hydrojax.logs.tables import Channel
@@ -69,3 +70,18 @@ def test_a_topic_cannot_write_to_the_terminal(tmp_path, topic):
     with pytest.raises(InputError) as caught:
         Log.load(path, CHANNELS)
     assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("nested", ["[" * 600, "{a: " * 600, "x: " + "- " * 600])
+def test_a_description_of_a_bag_that_is_nested_without_end(tmp_path, nested):
+    """YAML is read in a time that grows with the square of the depth, or faster."""
+    folder = tmp_path / "run"
+    write_bag_folder(folder)
+    given = {"x": Channel(column="/rig.data", unit="mm")}
+    assert Log.load(folder, given).time.size == 300
+    text = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(f"{text}more: {nested}\n")
+    began = time.process_time()
+    with pytest.raises(InputError, match="nested more than 16 deep"):
+        Log.load(folder, given)
+    assert time.process_time() - began < 1

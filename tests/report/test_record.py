@@ -10,12 +10,17 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from hydrojax.cli.scenario import read_inputs
 from hydrojax.errors import InputError
+from hydrojax.logs.log import Log
 from hydrojax.paper.records import reference
+from hydrojax.report.files import OBSOLETE, READY
 from hydrojax.report.record import read_report
 from hydrojax.report.schema import report_schema
 from hydrojax.rigfile.quantities import open_setting
+from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune.findings import Findings
+from hydrojax.workflows.fleet.jobs import read_jobs
 
 SOUND = {
     "format": "hydrojax-report/1",
@@ -147,3 +152,27 @@ def test_a_parameter_in_another_unit_than_the_rig_s_is_refused(tmp_path):
     for use in (found.known, found.apply):
         with pytest.raises(InputError, match="beta is in furlong, not in Pa"):
             use(setting)
+
+
+def test_a_report_that_was_decided_and_not_moved_is_read(tmp_path):
+    """As a run leaves it that is killed between two renames, in a new folder."""
+    ready = tmp_path / READY
+    ready.mkdir()
+    (ready / OBSOLETE).write_text("[]")
+    save(ready, SOUND)
+    assert read_report(tmp_path).rig == "bench"
+    assert not ready.exists()
+
+
+def test_names_that_no_path_can_have_are_refused_in_one_line():
+    for name in ("n" * 10**6, "a\0b"):
+        for read in (
+            lambda name: read_report(name),
+            lambda name: Log.load(f"{name}.csv"),
+            lambda name: RigFile.load(f"{name}.toml"),
+            lambda name: read_jobs(f"{name}.csv"),
+            lambda name: read_inputs(reference()[0], reference=name),
+        ):
+            with pytest.raises(InputError) as caught:
+                read(name)
+            assert str(caught.value).isprintable() and len(str(caught.value)) < 1300

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -101,7 +102,7 @@ def read_jobs(source: str | Path, command: Command = "trace") -> Jobs:
         InputError: no such file, an invalid column, row or cell, or no job.
     """
     source = Path(source)
-    if source.is_dir():
+    if os.path.isdir(source):
         jobs = Jobs(source, source, _folders(source))
     else:
         jobs = Jobs(source, source.parent, _table(source))
@@ -135,7 +136,7 @@ def _table(path: Path) -> pd.DataFrame:
         raise InputError(
             f"{path}: not a table of jobs; give a .csv, a .parquet, or a folder of jobs"
         )
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"{path}: no such file; check the path")
     frame: Any
     kind = "CSV" if ending == ".csv" else "Parquet"
