@@ -26,6 +26,7 @@ def outcome(recorded):
     return api.identify(case), case, folder / "validate.csv"
 
 
+@pytest.mark.slow
 def test_a_right_model_runs_through_the_whole_log_at_its_noise(outcome):
     found, _, _ = outcome
     for name, c in found.channels.items():

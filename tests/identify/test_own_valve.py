@@ -103,6 +103,7 @@ def test_the_paper_s_law_does_not_invert_it(rig):
     assert isinstance(loop.rig.valve, SharpEdges)
 
 
+@pytest.mark.slow
 def test_a_fit_finds_its_parameters(rig, logs):
     found = fit(rig, logs[:1], starts=1)
     table = found.parameters

@@ -136,6 +136,7 @@ def main(words, monkeypatch):
             raise
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_rig_with_bounds(tmp_path, capsys, monkeypatch):
     """Two logs of the reference rig: the rig written carries bounds that hold it."""
     from importlib import resources
