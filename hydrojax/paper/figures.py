@@ -81,11 +81,18 @@ def response_figure(r: Response) -> Figure:
     )
     edge = within(r.noise_hertz, r.noise_dB)
     top.axvline(edge, color=_GREY, lw=0.8, ls=":")
-    top.text(edge * 0.98, -9, f"{edge:.1f} Hz", ha="right", fontsize=9, color=_GREY)
-    # All of the resonance, and of its fall what is left above a third.
-    highest = max(4.2, 1.1 * float(np.max(r.sines_dB)))
+    top.text(
+        edge * 0.98,
+        span[0] + 0.6,
+        f"{edge:.1f} Hz",
+        ha="right",
+        fontsize=9,
+        color=_GREY,
+    )
+    shown = np.concatenate([r.sines_dB, r.alone_dB])
+    span = (float(np.min(shown)) - 1.0, float(np.max(shown)) + 1.0)
     top.plot(r.hertz, r.alone_dB, color=_GREY, lw=0.6)
-    top.set(ylabel="20 log₁₀|F/F_d| (dB)", ylim=(-10, highest))
+    top.set(ylabel="20 log₁₀|F/F_d| (dB)", ylim=span)
     top.set_title("Fig. 5  Transfer function of output force tracking, joint locked")
     top.legend(loc="upper left", fontsize=9)
     bottom.semilogx(r.noise_hertz, r.coherence, color=_BLUE, lw=1.3)
