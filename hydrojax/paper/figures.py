@@ -79,6 +79,8 @@ def response_figure(r: Response) -> Figure:
     top.plot(
         r.hertz, r.alone_dB, "o", color=_GREY, ms=4, mfc="none", label="sines alone"
     )
+    shown = np.concatenate([r.sines_dB, r.alone_dB])
+    span = (float(np.min(shown)) - 1.0, float(np.max(shown)) + 1.0)
     edge = within(r.noise_hertz, r.noise_dB)
     top.axvline(edge, color=_GREY, lw=0.8, ls=":")
     top.text(
@@ -89,8 +91,6 @@ def response_figure(r: Response) -> Figure:
         fontsize=9,
         color=_GREY,
     )
-    shown = np.concatenate([r.sines_dB, r.alone_dB])
-    span = (float(np.min(shown)) - 1.0, float(np.max(shown)) + 1.0)
     top.plot(r.hertz, r.alone_dB, color=_GREY, lw=0.6)
     top.set(ylabel="20 log₁₀|F/F_d| (dB)", ylim=span)
     top.set_title("Fig. 5  Transfer function of output force tracking, joint locked")
