@@ -103,6 +103,7 @@ def test_programs_on_disk_are_bounded_the_last_used_stay(tmp_path):
     jax_setup.trim(tmp_path / "none", 0)
 
 
+@pytest.mark.slow
 def test_windows_that_fill_up_change_nothing(recorded, tmp_path):
     case = cut(recorded(1), tmp_path / "short", 700)
     problem = api.fit_case(case, starts=1).problem
@@ -123,6 +124,7 @@ def _every(model: ParametricRig) -> tuple[int, int]:
     return model.hydraulic, len(model.names) - model.hydraulic
 
 
+@pytest.mark.slow
 def test_logs_of_another_length_and_rig_compile_nothing(recorded, tmp_path, compiled):
     api.identify(cut(recorded(1), tmp_path / "one", 100), starts=1)
     compiled.clear()
@@ -130,6 +132,7 @@ def test_logs_of_another_length_and_rig_compile_nothing(recorded, tmp_path, comp
     assert compiled == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_programs_are_let_go_before_the_kernel_runs_out_of_mappings(recorded, tmp_path):
     def mapped() -> int:

@@ -25,44 +25,50 @@ from hydrojax.cli.options import (
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import set_up_jax, user_cache
 
+Jobs = Annotated[
+    Path,
+    typer.Argument(
+        help="Table (CSV, Parquet) with columns rig, fit, validate (logs, ; "
+        "between them), if you like job, and labels; or a folder of folders with "
+        "rig.toml, fit*, validate*.",
+        show_default=False,
+    ),
+]
+Workers = Annotated[
+    int,
+    typer.Option(help="Worker processes.", min=0, show_default="one per core"),
+]
+Starts = Annotated[
+    int,
+    typer.Option(
+        help="Number of starts of each fit.",
+        min=0,
+        show_default="the command's own",
+    ),
+]
+JobSeconds = Annotated[
+    float, typer.Option(help="Time that one job may take, s.", min=1.0)
+]
+JobMemory = Annotated[
+    float, typer.Option(help="Memory that one job may take, GiB.", min=0.1)
+]
+
 
 @app.command()
 def batch(
     context: typer.Context,
-    jobs: Annotated[
-        Path,
-        typer.Argument(
-            help="Table (CSV, Parquet) with columns rig, fit, validate (logs, ; "
-            "between them), if you like job, and labels; or a folder of folders with "
-            "rig.toml, fit*, validate*.",
-            show_default=False,
-        ),
-    ],
+    jobs: Jobs,
     out: Out = Path("hydrojax-batch"),
     command: Annotated[str, typer.Option(help="identify or trace.")] = "trace",
-    workers: Annotated[
-        int,
-        typer.Option(help="Worker processes.", min=0, show_default="one per core"),
-    ] = 0,
+    workers: Workers = 0,
     cluster: Cluster = "",
     horizon: Horizon = 0.25,
-    starts: Annotated[
-        int,
-        typer.Option(
-            help="Number of starts of each fit.",
-            min=0,
-            show_default="the command's own",
-        ),
-    ] = 0,
+    starts: Starts = 0,
     matters: Matters = 0.02,
     level: Level = 0.01,
     profile: Profile = False,
-    job_seconds: Annotated[
-        float, typer.Option(help="Time that one job may take, s.", min=1.0)
-    ] = 3600.0,
-    job_memory: Annotated[
-        float, typer.Option(help="Memory that one job may take, GiB.", min=0.1)
-    ] = 8.0,
+    job_seconds: JobSeconds = 3600.0,
+    job_memory: JobMemory = 8.0,
     effects: Effects = None,
 ) -> None:
     """Identify or trace a fleet of logs; one table and one report over all of them.

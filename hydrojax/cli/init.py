@@ -28,48 +28,56 @@ def _schema(wanted: bool) -> None:
         raise typer.Exit
 
 
+Bore = Annotated[str, typer.Option(help="Diameter of the piston: 40 mm.")]
+Rod = Annotated[
+    str,
+    typer.Option(help="Diameter of the rod: 25 mm; 0 mm where the areas are equal."),
+]
+Stroke = Annotated[str, typer.Option(help="Between the stops: 300 mm.")]
+Radius = Annotated[
+    str, typer.Option(help="Lever arm, where the log has an angle: 85 mm.")
+]
+RatedFlow = Annotated[
+    str,
+    typer.Option(
+        help="Of the open valve, at 35 bar over each edge: 40 L/min.",
+        show_default="estimated from the log",
+    ),
+]
+Supply = Annotated[
+    str,
+    typer.Option(
+        help="Supply pressure, where the log has none: 140 bar.",
+        show_default="140 bar",
+    ),
+]
+Layout = Annotated[
+    str,
+    typer.Option(
+        help="pull-pull, differential, single or driven-axis.",
+        show_default="from columns and rod",
+    ),
+]
+Columns = Annotated[
+    list[str] | None,
+    typer.Option(help="Columns by signal, as u=MainU: all words that follow."),
+]
+
+
 @app.command()
 def init(
     logs: Annotated[
         list[Path],
         typer.Argument(help="Logs of one rig and one logger.", show_default=False),
     ],
-    bore: Annotated[str, typer.Option(help="Diameter of the piston: 40 mm.")] = "",
-    rod: Annotated[
-        str,
-        typer.Option(
-            help="Diameter of the rod: 25 mm; 0 mm where the areas are equal."
-        ),
-    ] = "",
-    stroke: Annotated[str, typer.Option(help="Between the stops: 300 mm.")] = "",
-    radius: Annotated[
-        str, typer.Option(help="Lever arm, where the log has an angle: 85 mm.")
-    ] = "",
-    rated_flow: Annotated[
-        str,
-        typer.Option(
-            help="Of the open valve, at 35 bar over each edge: 40 L/min.",
-            show_default="estimated from the log",
-        ),
-    ] = "",
-    supply: Annotated[
-        str,
-        typer.Option(
-            help="Supply pressure, where the log has none: 140 bar.",
-            show_default="140 bar",
-        ),
-    ] = "",
-    layout: Annotated[
-        str,
-        typer.Option(
-            help="pull-pull, differential, single or driven-axis.",
-            show_default="from columns and rod",
-        ),
-    ] = "",
-    column: Annotated[
-        list[str] | None,
-        typer.Option(help="Columns by signal, as u=MainU: all words that follow."),
-    ] = None,
+    bore: Bore = "",
+    rod: Rod = "",
+    stroke: Stroke = "",
+    radius: Radius = "",
+    rated_flow: RatedFlow = "",
+    supply: Supply = "",
+    layout: Layout = "",
+    column: Columns = None,
     name: Annotated[
         str, typer.Option(help="Of the rig.", show_default="the log's")
     ] = "",

@@ -86,14 +86,17 @@ def simulate(
     )
 
 
+Separate = Annotated[
+    list[str] | None,
+    typer.Option(help="Two effects to distinguish: both words that follow."),
+]
+
+
 @app.command()
 def excite(
     context: typer.Context,
     rig: RigPath,
-    separate: Annotated[
-        list[str] | None,
-        typer.Option(help="Two effects to distinguish: both words that follow."),
-    ] = None,
+    separate: Separate = None,
     force: Annotated[str, typer.Option(help="Largest desired force.")] = "800 N",
     speed: Annotated[str, typer.Option(help="Largest speed.")] = "25 mm/s",
     travel: Annotated[

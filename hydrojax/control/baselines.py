@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -53,7 +53,9 @@ class PIController(AbstractController):
     )
 
     @classmethod
-    def for_rig(cls, nominal: Rig, line: Mapping[str, float], full: float) -> Self:
+    def for_rig(
+        cls, nominal: Rig, line: Mapping[str, float], full: float
+    ) -> PIController:
         """Gains for a rig: a slow loop, and the speed fed forward.
 
         Args:
@@ -133,7 +135,9 @@ class LinearizingController(InvertingController):
     )
 
     @classmethod
-    def for_rig(cls, nominal: Rig, line: Mapping[str, float], full: float) -> Self:
+    def for_rig(
+        cls, nominal: Rig, line: Mapping[str, float], full: float
+    ) -> LinearizingController:
         """The controller of a rig; see `PIController.for_rig`."""
         P_r = jnp.asarray(line["P_r"], float)
         return cls(nominal=nominal, P_r=P_r, u_max=jnp.asarray(full))

@@ -15,7 +15,7 @@ from hydrojax.paper.experiments import (
     tracking,
     within,
 )
-from hydrojax.paper.readings import readings
+from hydrojax.paper.readings import try_readings
 from hydrojax.paper.records import Experiments
 
 PAPER_SAYS: Mapping[str, str] = {
@@ -39,7 +39,7 @@ def experiments(progress: Callable[[str], None] = lambda _: None) -> Experiments
     progress("supply condition (42)")
     supply = supply_of_tracking()
     progress("other readings of the paper")
-    return Experiments(tracks, ablation, shown, falls, supply, readings())
+    return Experiments(tracks, ablation, shown, falls, supply, try_readings())
 
 
 def _listed(values: np.ndarray) -> list[float | None]:

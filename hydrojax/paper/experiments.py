@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy import signal
 
 from hydrojax.control import theory
@@ -91,8 +91,10 @@ def stack(trees: list[Any]) -> Any:
 
 
 @eqx.filter_jit
-def runs(loops: Loop, scenarios: Any, keep: tuple[str, ...]) -> jax.Array:
-    """Runs side by side, [lanes, N, len(keep)]: loops [lanes] on scenarios [lanes]."""
+def runs(
+    loops: Loop, scenarios: Any, keep: tuple[str, ...]
+) -> Float[Array, "lanes n kept"]:
+    """Signals of runs side by side: loops and scenarios have a first axis of lanes."""
     return jax.vmap(lambda loop, scenario: run(loop, scenario, keep))(loops, scenarios)
 
 
@@ -101,7 +103,11 @@ def _repeat(tree: Any, count: int) -> Any:
 
 
 def scenario_of(
-    spec: RigFile, F_d: np.ndarray, path: Trajectory, h: float, seed: int | None = None
+    spec: RigFile,
+    F_d: Float[np.ndarray, "n"],
+    path: Trajectory,
+    h: float,
+    seed: int | None = None,
 ) -> Scenario:
     """A scenario under the rig file's supply."""
     P_s, P_r = spec.supply["P_s"], spec.supply["P_r"]

@@ -127,6 +127,6 @@ def reproduced(reading: Reading) -> Reproduced:
     )
 
 
-def readings() -> dict[str, Reproduced]:
+def try_readings() -> dict[str, Reproduced]:
     """What every reading does, by its name."""
     return {name: reproduced(reading) for name, reading in READINGS.items()}

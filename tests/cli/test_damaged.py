@@ -71,6 +71,7 @@ def rig_is_sound_or_refused(path: Path) -> None:
         assert low <= entry.start <= high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name, mutated, read_or_refused",
     [
@@ -203,6 +204,7 @@ def test_any_quantity_is_read_or_refused(text):
         assert "here" in str(error) and "\n" not in str(error)
 
 
+@pytest.mark.slow
 def test_a_rig_file_or_a_log_cannot_reach_out(bench, call, tmp_path):
     """No code runs, no other file is read, and nothing is written beside --out."""
     folder, _ = bench

@@ -109,6 +109,7 @@ def test_its_gains_have_names_units_and_a_rate(file):
         build_loop(file, None, {"k": "1 Pa"})
 
 
+@pytest.mark.slow
 def test_it_is_swept(file):
     data = sweep(file, {"k": np.array([1e-3, 2.5e-3, 4e-3])})
     band = data["linear_minus_3dB"].values.ravel()
@@ -116,6 +117,7 @@ def test_it_is_swept(file):
     assert np.all(np.diff(band) > 0)  # the more gain, the wider
 
 
+@pytest.mark.slow
 def test_it_is_tuned(file):
     """Gains are found; without feedforward of the speed none lets the force follow
     while the joint moves, so that none is proposed, and that is said.

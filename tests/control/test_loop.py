@@ -252,6 +252,7 @@ def test_a_loop_is_what_scipy_says(truths, name):
     assert got["true_x"] < 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in RUNS if n != "locked"])
 def test_a_loop_is_of_second_order_in_its_parts(truths, name):
     """Locked, four parts are as good as scipy already."""
@@ -774,6 +775,7 @@ def slopes():
     return dict(zip(KNOBS, np.stack([backward, central], 1), strict=True)), forward
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KNOBS)
 def test_gradients_are_central_differences(slopes, name):
     """With noise and the encoder's steps: neither depends on what is turned here."""

@@ -653,6 +653,7 @@ def guess(truth: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
+@pytest.mark.slow
 def test_a_simulated_leak_is_found_in_the_logs(call, tmp_path):
     """The whole circle, and the slowest test here: three logs of 12 s by `simulate`
     from a rig that leaks inside, and `trace` with a rig file that knows of no leak.

@@ -394,6 +394,7 @@ def test_friction_sees_the_piston(rig, drive, name, fields):
 # -- a rod that gives, in simulation --
 
 
+@pytest.mark.slow
 def test_what_stretches_gives_way_as_the_force_rises(rig):
     """Joint locked, valve open: against the same plant in scipy, with its own force.
 

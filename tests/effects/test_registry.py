@@ -65,6 +65,7 @@ def case(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_trace_finds_the_page_s_effect(call, vocabulary, case, mine, tmp_path):
     out = tmp_path / "out"
     code, _, err = call(
@@ -86,6 +87,7 @@ def test_the_trace_finds_the_page_s_effect(call, vocabulary, case, mine, tmp_pat
     assert "quadratic drag" in page or "quadratic_drag" in page
 
 
+@pytest.mark.slow
 def test_identify_fits_it_where_the_rig_file_declares_it(
     call, vocabulary, case, mine, tmp_path
 ):

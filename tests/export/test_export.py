@@ -495,6 +495,7 @@ def test_the_effects_and_parameters_of_an_fmu_act(fmpy, driven):
     assert np.max(np.abs(without - base[1:]) / size) > 1e-3
 
 
+@pytest.mark.slow
 def test_an_fmu_solves_for_the_force_that_stretches_its_rod(fmpy, tmp_path):
     """The step is given the force that the FMU found, and must find it again."""
     rod = "[effects.rod_compliance]\nk = '5e7 N/m'\n[controller]"

@@ -71,6 +71,7 @@ def state_of(folder: Path) -> Tracing:
     return Tracing(problem, problem, effects, tuple(free), point, print)
 
 
+@pytest.mark.slow
 def test_the_missing_effect_stands_out(machine):
     """It leaves less than a hundredth of the balances' squares, the next at least ten
     times that; and stands near where the fit of whole logs ends.
@@ -97,6 +98,7 @@ def test_what_does_not_act_on_the_pressures_is_left_to_the_replay(machine):
     assert not {"pressure_sensor_lag", "signal_filter"} & set(search.effects)
 
 
+@pytest.mark.slow
 def test_the_sensitivities_are_differences(machine):
     """The gradient of the sum of squares, along every free parameter."""
     problem, free = machine[1].problem, machine[1].free
@@ -128,6 +130,7 @@ def test_a_descent_stays_in_the_ranges_and_lowers_the_squares(machine):
         assert f.lower <= value <= f.upper
 
 
+@pytest.mark.slow
 def test_a_fit_begins_far_nearer_than_the_rig_file(machine):
     """By the replay's own errors of both pressures."""
     problem, free = machine[1].problem, machine[1].free
@@ -139,6 +142,7 @@ def test_a_fit_begins_far_nearer_than_the_rig_file(machine):
     assert errors[1] < 0.5 * errors[0]
 
 
+@pytest.mark.slow
 def test_halved_substeps_change_little(machine, monkeypatch):
     """The replay at the balances' values: under a quarter of the sensors' 9 kPa."""
     name, state = machine

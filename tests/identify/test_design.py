@@ -68,6 +68,7 @@ def test_any_amplitudes_keep_the_limits(seed):
     assert reached == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_the_gradient_is_that_of_differences(problem):
     cost = jax.jit(problem.cost)
     at = jnp.asarray(np.random.default_rng(2).normal(size=COUNT) * 0.3)
@@ -79,6 +80,7 @@ def test_the_gradient_is_that_of_differences(problem):
         assert float(slope(at, d)) == pytest.approx(float(by_difference), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_the_design_identifies_better(found):
     assert set(found.before) == set(FREE)
     gain = np.array([found.before[n] / found.after[n] for n in FREE])
@@ -87,6 +89,7 @@ def test_the_design_identifies_better(found):
     assert np.max(np.abs(found.x)) < LIMITS.travel
 
 
+@pytest.mark.slow
 def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
     """The design run in closed loop, logged and identified: the same spreads."""
     spec = RigFile.load(rig_file)
@@ -119,6 +122,7 @@ def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
         assert abs(value - FREE[name][1]) < 5 * std
 
 
+@pytest.mark.slow
 def test_two_effects_are_designed_for_together(rig_file):
     """Each strength is harder to identify beside the other effect than without it."""
     spec = RigFile.load(rig_file)

@@ -118,6 +118,7 @@ def test_the_truth_is_found_of_other_rigs(recorded, seed):
     assert max(ratios(outcome).values()) < 1.1
 
 
+@pytest.mark.slow
 def test_short_logs_are_no_reason_to_miss_the_noise(recorded):
     """Coulomb levels that differ are not taken as equal at the cost of the force.
 
@@ -132,6 +133,7 @@ def test_short_logs_are_no_reason_to_miss_the_noise(recorded):
 # -- ranges hold --
 
 
+@pytest.mark.slow
 def test_what_the_fitted_logs_do_not_show_is_told_from_what_is_missing(
     recorded, tmp_path, monkeypatch
 ):
@@ -201,6 +203,7 @@ def pressure_driven(case: Path, folder: Path, keep: tuple[str, ...]) -> list[Pat
     return [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "validate")]
 
 
+@pytest.mark.slow
 def test_an_alias_is_reported_with_its_partners(recorded, tmp_path):
     """b v and the two slopes of (3) are one and the same where phi = -1."""
     *logs, check = pressure_driven(recorded(SEED), tmp_path, FRICTION)
@@ -466,6 +469,7 @@ def test_a_reciprocal_is_shown_with_its_own_spread(effect, stored, shown, unit, 
     assert p.profile == pytest.approx((1 / ends[1], 1 / ends[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_intervals_cover_the_truth(coverage, seed):
     """Position and pressures without error, so that a fit is short."""
@@ -474,6 +478,7 @@ def test_intervals_cover_the_truth(coverage, seed):
     assert 0.90 <= np.mean(list(each.values())) <= 0.99, each
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_where_a_position_is_taken_in_a_band(coverage):
     """An encoder's steps and the pressures' noise, as the generator's rig has them."""
     each = coverage(1, 12.0, draws=15, noise_P=9e3, encoder=generator.ENCODER)
@@ -544,6 +549,7 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
     np.testing.assert_allclose(data.P_0[:, 0] - 5e6, rows_of[:, 0], atol=1e-2)
 
 
+@pytest.mark.slow
 def test_runs_of_a_long_log_are_what_the_whole_gives(recorded, monkeypatch):
     """Every window, and what friction remembers there, within what `SETTLE` forgets."""
     case = recorded(1, None, 30.0)
@@ -686,6 +692,7 @@ def test_motion_under_a_command_is_never_turned(recorded):
     assert not runs_backward(data)
 
 
+@pytest.mark.slow
 def test_a_lag_is_measured_without_pressure_sensors(recorded, tmp_path):
     """Where no pressure is measured each window's are found from the force."""
     case = recorded(4, {"loadcell_lag": {}})
@@ -707,6 +714,7 @@ def test_a_lag_is_measured_without_pressure_sensors(recorded, tmp_path):
     assert tau_F == pytest.approx(true["loadcell_lag"]["tau_F"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_tolerance_of_a_held_constant_goes_into_the_intervals(recorded, tmp_path):
     """The estimate moves by its standard deviation where the constant does by its own.
 

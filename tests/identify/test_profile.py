@@ -103,6 +103,7 @@ def test_the_interval_of_a_mean_is_that_of_95_percent(wider):
     np.testing.assert_allclose(found["a"], want, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_log_gives_intervals_like_its_covariance(tmp_path):
     """Where the fit is nearly linear both agree, and both hold the truth mostly."""
     import json

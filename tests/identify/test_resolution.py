@@ -86,6 +86,7 @@ def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
     np.testing.assert_array_equal(case.fit_logs[0].signals["psi"], raw.signals["psi"])
 
 
+@pytest.mark.slow
 def test_under_a_coarse_encoder_nothing_missing_is_still_the_answer(
     tmp_path, monkeypatch
 ):
@@ -99,6 +100,7 @@ def test_under_a_coarse_encoder_nothing_missing_is_still_the_answer(
         assert 0.7 < channel.after / channel.noise < 1.1
 
 
+@pytest.mark.slow
 def test_under_a_coarse_encoder_an_effect_is_still_named(tmp_path, monkeypatch):
     effects = {"internal_leakage": generator.CATALOGUE["internal_leakage"]}
     found = api.trace_case(coarse_case(tmp_path, monkeypatch, 17, effects))
@@ -117,6 +119,7 @@ def without_command(case: Path, folder: Path) -> Case:
     return open_case(case / "rig.toml", logs, [folder / "validate.csv"])
 
 
+@pytest.mark.slow
 def test_noise_of_pressures_that_drive_is_not_taken_for_a_lag(recorded, tmp_path):
     """9 kPa on 11.8 cm^2 twice are 15 N, six times the load cell's noise."""
     case = without_command(recorded(1), tmp_path)
@@ -126,6 +129,7 @@ def test_noise_of_pressures_that_drive_is_not_taken_for_a_lag(recorded, tmp_path
     assert found.verdict == "nothing missing" and not found.effects
 
 
+@pytest.mark.slow
 def test_friction_is_named_where_noisy_pressures_drive(recorded, tmp_path):
     effects = {"stribeck": generator.CATALOGUE["stribeck"]}
     found = api.trace_case(without_command(recorded(6, effects), tmp_path))

@@ -41,6 +41,7 @@ def rms(frame: pd.DataFrame, channel: str) -> float:
     return float(np.sqrt(np.mean((frame[channel] - frame[f"{channel}_measured"]) ** 2)))
 
 
+@pytest.mark.slow
 def test_predictions_have_the_errors_that_are_reported(result, folder):
     for log, column in (("validate", "validate_after"), ("fit_2", "after")):
         frame = result.predict(folder / f"{log}.csv")

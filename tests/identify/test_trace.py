@@ -67,6 +67,7 @@ def ratios(outcome: Outcome) -> dict[str, float]:
     return {n: c.after / c.noise for n, c in outcome.channels.items()}
 
 
+@pytest.mark.slow
 def test_another_rig_compiles_nothing(traced, recorded, compiled):
     traced("none")
     compiled.clear()
@@ -110,6 +111,7 @@ def test_an_effect_is_named_and_measured(traced, name):
     assert name in outcome.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["late_film", "wide_stribeck", "soft_rod", "late_command"]
 )
@@ -154,6 +156,7 @@ def test_the_rig_is_found_under_the_effect(traced, recorded):
         assert found["z_ss"].value == pytest.approx(rig["z_ss"], rel=0.03)
 
 
+@pytest.mark.slow
 def test_what_no_catalogue_names_is_left_unknown_and_described(traced):
     outcome = traced("force_ripple")
     assert outcome.verdict == "unknown"
@@ -387,6 +390,7 @@ def drawn_scores(rng: np.random.Generator, mix: np.ndarray) -> dict[str, Score]:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alike", [0.0, 0.95])
 def test_the_family_keeps_its_level(alike):
     """Of 400 families of 20 candidates without any effect some 5 % have p < 0.05.

@@ -260,6 +260,7 @@ def test_noise_s_response_and_coherence_are_scipy_s():
     np.testing.assert_allclose(coherence, seen[i], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_slope_of_the_bandwidth_is_its_difference(setting, known, states):
     hertz = jnp.asarray(HERTZ)
 

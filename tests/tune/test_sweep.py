@@ -141,6 +141,7 @@ def test_axes_as_a_notebook_gives_them(known):
 # -- sweeps --
 
 
+@pytest.mark.slow
 def test_chunks_change_nothing(setting, known):
     words = ["k_p=0.5:3:3", "k_f=1:4:3"]
     methods = ("linear", "multisine")
@@ -166,6 +167,7 @@ t.sweep.run_sweep(asked, Path(sys.argv[2]))
 """
 
 
+@pytest.mark.slow
 def test_devices_share_a_sweep_and_change_nothing(setting, known, tmp_path, cache_home):
     """An odd number of cells on two devices of the processor."""
     flags = os.environ.get("XLA_FLAGS", "")
@@ -184,6 +186,7 @@ def test_devices_share_a_sweep_and_change_nothing(setting, known, tmp_path, cach
         np.testing.assert_allclose(shared[name], table, rtol=1e-12, atol=1e-12 * scale)
 
 
+@pytest.mark.slow
 def test_other_values_compile_nothing(setting, known, compiled):
     def swept(words):
         return sweep.run_sweep(plan_of(setting, known, words, ("linear", "multisine")))
@@ -194,6 +197,7 @@ def test_other_values_compile_nothing(setting, known, compiled):
     assert compiled == []
 
 
+@pytest.mark.slow
 def test_a_cell_is_the_rig_with_its_values(setting, known):
     """The map's cell at the rig's own gains, alone."""
     data = sweep.run_sweep(plan_of(setting, known, ["k_p=0.6,1.2", "k_f=2.4,4.8"]))
@@ -204,6 +208,7 @@ def test_a_cell_is_the_rig_with_its_values(setting, known):
     assert 14 < float(data.linear_within_1dB.sel(k_p=1.2, k_f=2.4)) < 20
 
 
+@pytest.mark.slow
 def test_a_stopped_sweep_goes_on_and_a_done_one_does_nothing(
     setting, known, tmp_path, monkeypatch
 ):
@@ -282,6 +287,7 @@ def own_effect(tmp_path):
     EFFECTS.update(before)
 
 
+@pytest.mark.slow
 def test_a_sweep_resumed_after_an_effect_s_code_changed_is_of_the_new_code(
     own_effect, tmp_path
 ):
@@ -344,6 +350,7 @@ def test_the_key_holds_the_code_of_a_controller(monkeypatch):
     assert first.question() == other.question()
 
 
+@pytest.mark.slow
 def test_the_ensemble_and_what_95_percent_reach(setting, known):
     plants = ensemble(setting, 5)
     assert np.all(np.abs(plants.values / plants.values[0] - 1) <= 0.2)
@@ -411,6 +418,7 @@ def test_plants_of_a_covariance_keep_every_scale(setting, tmp_path):
     assert abs(np.corrcoef(drawn.T)[0, 1] - 0.5 * less) < 0.05
 
 
+@pytest.mark.slow
 def test_moving_points_settle(setting, known):
     """A joint that is moved has its valve open, and friction that slides."""
     data = sweep.run_sweep(plan_of(setting, known, ["v=-0.01,0,0.01"]))
@@ -419,6 +427,7 @@ def test_moving_points_settle(setting, known):
     assert moved > still > 14  # presliding lowers the loop's gain; sliding does not
 
 
+@pytest.mark.slow
 def test_friction_makes_bandwidth_depend_on_amplitude(setting, known):
     data = sweep.run_sweep(
         plan_of(setting, known, ["amplitude=2,4000"], ("linear", "multisine"))
@@ -433,6 +442,7 @@ def test_friction_makes_bandwidth_depend_on_amplitude(setting, known):
 # -- the command and its pictures --
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, monkeypatch, capsys):
     out = tmp_path / "sweep"
     words = ["hydrojax", "sweep", RIG, "--over", "k_p=0.2:4:5", "k_f=0.2:6:5",
@@ -496,6 +506,7 @@ def test_a_cell_far_above_all_others_has_a_colour_of_its_own():
     assert np.sum(edges < 24) >= 8
 
 
+@pytest.mark.slow
 def test_disagreement_and_saturation_are_on_the_map(setting, known):
     words = ["k_f=1:6:3", "amplitude=10:3000:3:log"]
     data = sweep.run_sweep(plan_of(setting, known, words, ("linear", "multisine")))
@@ -508,6 +519,7 @@ def test_disagreement_and_saturation_are_on_the_map(setting, known):
     assert set(plots.sweep_figures(data)) >= {"map_within_1dB", "map_rms_error", "bode"}
 
 
+@pytest.mark.slow
 def test_an_axis_of_one_value_is_no_axis_of_a_picture(setting, known):
     """Two axes, one of a single value: lines over the other, and its Bode plots."""
     data = sweep.run_sweep(plan_of(setting, known, ["k_p=1.2", "k_f=1,2.4"]))

@@ -210,6 +210,7 @@ def adapting(share, **gains):
     return gains | {name: share * rate for name, rate in rates.items()}
 
 
+@pytest.mark.slow
 def test_live_eigenvalues_tell_which_runs_oscillate(objective):
     """Below the spool's reach all are stable frozen; adaptation makes some oscillate.
 
@@ -298,6 +299,7 @@ def test_bad_gains_are_not_proposed(objective, proposal):
         assert what in said
 
 
+@pytest.mark.slow
 def test_both_simulators_run_alike(objective, found):
     """Sample for sample, on the rig and on the others, with the adaptation held."""
     F_d = multisine(np.arange(1, 121))
@@ -367,6 +369,7 @@ def test_a_tuning_in_a_notebook(tmp_path):
     assert made.controller["k_f"] == "3.2 V/kN" == one.rig.controller["k_f"]
 
 
+@pytest.mark.slow
 def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
     """A leak that trace added: the promise without it, with it, and gains for it."""
     folder, out = tmp_path / "trace", tmp_path / "tune"

@@ -403,6 +403,7 @@ def test_ctrl_c_says_how_to_go_on(call, tmp_path, monkeypatch):
 # -- a cluster --
 
 
+@pytest.mark.slow
 def test_a_cluster_that_loses_a_worker_loses_nothing(tmp_path):
     pytest.importorskip("distributed")
     table = fleet(tmp_path, good(30, seconds=0.3))
@@ -449,6 +450,7 @@ def test_what_a_worker_cannot_import_is_one_line(tmp_path):
         sweeps.work_out(unit)
 
 
+@pytest.mark.slow
 def test_a_sweep_s_chunks_are_the_same_from_any_worker(tmp_path, monkeypatch):
     rig = RigFile.load(ROOT / "hydrojax" / "paper" / "reference.toml")
     asked = {
@@ -574,6 +576,7 @@ def test_friction_that_fits_do_not_tell_has_no_bounds():
 # -- real logs --
 
 
+@pytest.mark.slow
 def test_a_fleet_of_real_logs_is_what_identify_gives(
     call, recorded, tmp_path, monkeypatch, cache_home
 ):
