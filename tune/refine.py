@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -12,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy import optimize
+from scipy.stats import qmc
 
 from hydrojax.control.loop import Loop, Scenario, run
-from hydrojax.parameters import put
+from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.tune.ensemble import Plants
 
 SETTLE = 0.25
@@ -23,7 +23,17 @@ SETTLE = 0.25
 MAX_ITERATIONS = 25
 
 FLOOR = 1e-9
-"""Least half-width of a bound, of its scale: its derivative has to stay alive."""
+"""Least width of a bound, of its scale: its derivative has to stay alive."""
+
+SPREAD = 0.1
+"""How far the valve's constants and the bulk modulus are from what the law takes them
+to be, relative, where bounds are refined and compared."""
+
+HYDRAULIC = ("beta", "c_p1", "c_n1", "c_p2", "c_n2")
+"""What is off then, where a rig has it."""
+
+Ends = tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]
+"""Lower and upper bounds."""
 
 
 def with_bounds(
@@ -76,54 +86,81 @@ def tracking_errors(
     return np.asarray(_errors(loop, plants.names, theta, scenarios))
 
 
+def under_model_error(
+    plants: Plants, loop: Loop, spread: float = SPREAD, seed: int = 0
+) -> Plants:
+    """The plants, each with other valve constants and bulk modulus, within `spread`.
+
+    A law that tracks best on one valve is tuned to that valve: bounds have to serve
+    where what the law takes for the plant is off.
+    """
+    known = parameter_specs(loop.rig)
+    names = tuple(n for n in HYDRAULIC if n in known and n not in plants.names)
+    drawn = qmc.LatinHypercube(len(names), rng=seed).random(len(plants.values))
+    factors = np.exp(np.log1p(spread) * (2 * drawn - 1))
+    values = np.asarray(get(loop.rig, names)) * factors
+    both = np.concatenate([np.asarray(plants.values), values], axis=1)
+    return Plants((*plants.names, *names), both)
+
+
 def refine(
     loop: Loop,
     plants: Plants,
     scenarios: Scenario,
-    lower: Float[np.ndarray, "n"],
-    upper: Float[np.ndarray, "n"],
+    box: Ends,
     limits: Sequence[tuple[float, float]],
+    names: tuple[str, ...],
+    start: Ends | None = None,
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Move the bounds of theta_f to where the plants are tracked best.
+) -> Ends:
+    """Widen a box of theta_f to where the plants are tracked best.
 
     Gradient descent (L-BFGS-B) through the closed loop on the mean squared error over
     plants and scenarios; the estimates begin midway between the bounds, so both where
-    they start and where they may go is found.
+    they start and where they may go is found. The box stays inside: what the next
+    stretch is expected to be, the bounds hold.
 
     Args:
         loop: the loop whose law is refined.
         plants: the identified plants.
         scenarios: of equal length, stacked.
-        lower: bounds to start from, SI, of `plants.names`.
-        upper: likewise.
+        box: lower and upper bounds that stay inside, SI, of `names`.
         limits: what each parameter may be at all, SI.
+        names: what is bounded.
+        start: bounds to begin from; the box if None.
         progress: called with a line of text as the descent proceeds.
 
     Returns:
         The refined bounds, lower and upper.
     """
     low, high = np.array(limits, float).T
+    lower, upper = box
     scale = np.maximum(np.maximum(np.abs(lower), np.abs(upper)), 1e-12)
-    bounds = partial(_bounds, scale=scale, low=low, high=high)
-    both = _cost_and_slope(loop, plants, scenarios, bounds)
-    start = np.concatenate([(lower + upper) / 2 / scale, (upper - lower) / 2 / scale])
-    start[scale.size :] = np.maximum(start[scale.size :], FLOOR)
+    first = box if start is None else start
+    away = np.concatenate([(lower - first[0]) / scale, (first[1] - upper) / scale])
+
+    def bounds(at):
+        below, above = at[: scale.size] * scale, at[scale.size :] * scale
+        ends = jnp.clip(lower - below, low, high), jnp.clip(upper + above, low, high)
+        return ends[0], jnp.maximum(ends[1], ends[0] + FLOOR * scale)
+
+    both = _cost_and_slope(loop, plants, scenarios, names, bounds)
+    begin = np.maximum(away, FLOOR)
 
     def evaluate(at):
         value, slope = both(jnp.asarray(at))
         return float(value), np.asarray(slope)
 
-    first, _ = evaluate(start)
+    whole, _ = evaluate(begin)
 
     def step(at):
         progress(f"refine the bounds: {np.sqrt(evaluate(at)[0]):.3g} N RMS")
 
-    reach = [*zip(low / scale, high / scale, strict=True)]
-    reach += [(FLOOR, max(b - a, FLOOR)) for a, b in reach]
+    most = np.concatenate([(lower - low) / scale, (high - upper) / scale])
+    reach = [(0.0, max(m, FLOOR)) for m in most]
     found = optimize.minimize(
-        lambda at: tuple(v / first for v in evaluate(at)),
-        start,
+        lambda at: tuple(v / whole for v in evaluate(at)),
+        np.minimum(begin, [b for _, b in reach]),
         jac=True,
         method="L-BFGS-B",
         bounds=reach,
@@ -134,23 +171,18 @@ def refine(
     return np.asarray(ends[0]), np.asarray(ends[1])
 
 
-def _bounds(
-    at: Float[Array, "twice_n"], scale: Float[np.ndarray, "n"],
-    low: Float[np.ndarray, "n"], high: Float[np.ndarray, "n"],
-) -> tuple[Float[Array, "n"], Float[Array, "n"]]:  # fmt: skip
-    """Both bounds from their middles and half-widths, which are in units of `scale`."""
-    middle, half = at[: scale.size] * scale, at[scale.size :] * scale
-    return jnp.clip(middle - half, low, high), jnp.clip(middle + half, low, high)
-
-
 def _cost_and_slope(
-    loop: Loop, plants: Plants, scenarios: Scenario, bounds: Callable[..., Any]
+    loop: Loop,
+    plants: Plants,
+    scenarios: Scenario,
+    names: tuple[str, ...],
+    bounds: Callable[..., Any],
 ) -> Callable[..., Any]:
     """The mean squared error as a compiled function, with its gradient."""
     theta = jnp.asarray(plants.values)
 
     def cost(at):
-        held = with_bounds(loop, plants.names, *bounds(at))
+        held = with_bounds(loop, names, *bounds(at))
         return jnp.mean(_errors(held, plants.names, theta, scenarios) ** 2)
 
     # Forward mode: some dozen directions, and no run of thousands of steps to store.

@@ -195,14 +195,17 @@ def bounds(
         "bounds.png": png(figure),
     }
     write_all(out, files)
-    table = Table("F_d - F, N RMS", "plants fitted", "plants that took no part")
+    table = Table(
+        "F_d - F, N RMS", "plants fitted", "plants that took no part", "stretches held"
+    )
     for way, error in found.fitted.items():
         other = f"{found.others[way]:.3g}" if found.others else "-"
-        table.add_row(f"{way} bounds", f"{error:.3g}", other)
+        held = f"{100 * found.coverage[way]:.0f} %"
+        table.add_row(f"{way} bounds", f"{error:.3g}", other, held)
     console.print(table)
     console.print(
         f"{len(found.fits)} stretches of {found.fits[0].seconds:.3g} s; rig.toml with "
-        f"the refined bounds, bounds.json and bounds.png in {out}"
+        f"the {found.proposed} bounds, bounds.json and bounds.png in {out}"
     )
 
 

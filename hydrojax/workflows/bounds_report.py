@@ -32,6 +32,8 @@ def content(found: Bounds) -> dict[str, Any]:
             for f in found.fits
         ],
         "bounds": ways,
+        "coverage": found.coverage,
+        "proposed": found.proposed,
         "tracking_rms_N": {"fitted": found.fitted, "others": found.others},
     }
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from hydrojax import units
 from hydrojax.control.loop import Loop, Scenario
@@ -30,7 +29,13 @@ from hydrojax.rigfile.edit import identified, rewrite, text
 from hydrojax.rigfile.recording import rerun
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune.ensemble import Plants
-from hydrojax.tune.refine import refine, tracking_errors, with_bounds
+from hydrojax.tune.refine import (
+    Ends,
+    refine,
+    tracking_errors,
+    under_model_error,
+    with_bounds,
+)
 
 MOST_SECONDS = 6.0
 """How much of each log is run in closed loop, s."""
@@ -45,16 +50,21 @@ class Bounds:
         fits: of the stretches of the logs that took part.
         other_fits: of those that did not.
         bounds: lower and upper by way: "paper", "box", "refined".
+        coverage: share of stretches that each way's bounds hold, by way: of the logs
+            that took no part, where there are any.
+        proposed: the way whose bounds are proposed.
         fitted: RMS tracking error by way, N, over plants and scenarios of the logs that
             took part.
         others: over those of the logs that did not; empty without any.
-        rig_file: its text, with the refined bounds.
+        rig_file: its text, with the proposed bounds.
     """
 
     box: Box
     fits: list[Stretch]
     other_fits: list[Stretch]
-    bounds: dict[str, tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
+    bounds: dict[str, Ends]
+    coverage: dict[str, float]
+    proposed: str
     fitted: dict[str, float]
     others: dict[str, float]
     rig_file: str
@@ -70,7 +80,8 @@ def friction_bounds(
 
     Args:
         case: the rig and its logs; those kept for the check give plants on which the
-            three ways are compared and which take no part in finding them.
+            three ways are compared and which take no part in finding them. Bounds
+            are proposed only where they track no worse there than the paper's.
         confidence: that the box holds the next stretch's theta_f.
         stretch: length of a fit, s.
         progress: called with a line of text at each stage.
@@ -88,30 +99,54 @@ def friction_bounds(
 
     spec = identified(case.spec, state.named)
     loop = build_loop(spec)
-    plants = Plants(names, np.array([f.theta for f in fits]))
     loop, scenarios = _scenarios(spec, loop, case.fit_logs)
+    plants = _plants(names, fits, loop)
     progress("refine the bounds")
     paper = controller.default_bounds(loop.law.nominal)
     lowest, highest = (np.array([paper[n][i] for n in names]) for i in (0, 1))
-    ways: dict[str, tuple[np.ndarray, np.ndarray]] = {
-        "paper": (lowest, highest),
-        "box": (box.lower, box.upper),
-    }
-    ways["refined"] = refine(loop, plants, scenarios, *ways["box"], limits, progress)
+    held = (box.lower, box.upper)
+    both = (np.minimum(lowest, box.lower), np.maximum(highest, box.upper))
+    ways = {"paper": (lowest, highest), "box": held}
+    tried = [
+        refine(loop, plants, scenarios, held, limits, names, start, progress)
+        for start in (held, both)
+    ]
+    errors = [_errors(loop, names, {"": ends}, plants, scenarios)[""] for ends in tried]
+    ways["refined"] = tried[int(np.argmin(errors))]
 
     progress("compare them")
-    fitted, elsewhere = _errors(loop, ways, plants, scenarios), {}
+    fitted, elsewhere = _errors(loop, names, ways, plants, scenarios), {}
     if other_fits:
-        rest = Plants(names, np.array([f.theta for f in other_fits]))
         others = _scenarios(spec, loop, case.check_logs)[1]
-        elsewhere = _errors(loop, ways, rest, others)
-    lower, upper = ways["refined"]
+        rest = _plants(names, other_fits, loop)
+        elsewhere = _errors(loop, names, ways, rest, others)
+    judged = elsewhere or fitted
+    proposed = min(("refined", "paper"), key=judged.__getitem__)
     keys = {
         n: [_paper_unit(n, a), _paper_unit(n, b)]
-        for n, a, b in zip(names, lower, upper, strict=True)
+        for n, a, b in zip(names, *ways[proposed], strict=True)
     }
     file = rewrite(case.spec, state.named, controller=keys)
-    return Bounds(box, fits, other_fits, ways, fitted, elsewhere, file)
+    coverage = {way: _held(ends, other_fits or fits) for way, ends in ways.items()}
+    return Bounds(
+        box, fits, other_fits, ways, coverage, proposed, fitted, elsewhere, file
+    )
+
+
+def _plants(names: tuple[str, ...], fits: list[Stretch], loop: Loop) -> Plants:
+    """The stretches' friction, each in a plant that the law does not quite know."""
+    theta = np.array([f.theta for f in fits])
+    return under_model_error(Plants(names, theta), loop)
+
+
+def _held(ends: Ends, fits: list[Stretch]) -> float:
+    """The share of stretches whose theta_f lies within bounds, within its own error."""
+
+    def one(f: Stretch) -> bool:
+        spare = 2 * np.sqrt(np.diag(f.covariance))
+        return bool(np.all((f.theta >= ends[0] - spare) & (f.theta <= ends[1] + spare)))
+
+    return float(np.mean([one(f) for f in fits]))
 
 
 def _fits(
@@ -131,16 +166,15 @@ def _fits(
 
 def _errors(
     loop: Loop,
-    ways: Mapping[str, tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]],
+    names: tuple[str, ...],
+    ways: Mapping[str, Ends],
     plants: Plants,
     scenarios: Scenario,
 ) -> dict[str, float]:
     """RMS tracking error over plants and scenarios by way, N."""
     out = {}
     for way, ends in ways.items():
-        each = tracking_errors(
-            with_bounds(loop, plants.names, *ends), plants, scenarios
-        )
+        each = tracking_errors(with_bounds(loop, names, *ends), plants, scenarios)
         out[way] = float(np.sqrt(np.mean(each**2)))
     return out
 

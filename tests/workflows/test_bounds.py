@@ -14,7 +14,13 @@ from hydrojax.identify.estimation.box import Stretch, smallest_box
 from hydrojax.paper.records import reference
 from hydrojax.parameters import put
 from hydrojax.rigfile.build import build_loop
-from hydrojax.tune.refine import Plants, refine, tracking_errors, with_bounds
+from hydrojax.tune.refine import (
+    Plants,
+    refine,
+    tracking_errors,
+    under_model_error,
+    with_bounds,
+)
 
 NAMES = ("k_cp", "k_cn", "k_0")
 WIDE = [(-1e6, 1e6)] * 3
@@ -84,8 +90,8 @@ def test_refined_bounds_track_better_on_other_plants(loop_and_courses):
     plants = Plants(("k_cp", "k_cn"), theta)
     lower, upper = np.array([300.0, 1200.0]), np.array([700.0, 1600.0])
     limits = [(0.0, 3000.0)] * 2
-    found = refine(loop, plants, scenarios, lower, upper, limits)
-    assert np.all(found[0] <= found[1])
+    found = refine(loop, plants, scenarios, (lower, upper), limits, plants.names)
+    assert np.all(found[0] <= lower) and np.all(found[1] >= upper)  # the box is held
     assert np.all(found[0] >= 0) and np.all(found[1] <= 3000)
     other = Plants(("k_cp", "k_cn"), np.array([[1200.0, 900.0]]))
 
@@ -94,6 +100,18 @@ def test_refined_bounds_track_better_on_other_plants(loop_and_courses):
         return np.sqrt(np.mean(tracking_errors(held, other, scenarios) ** 2))
 
     assert error(found) < 0.5 * error((lower, upper))
+
+
+def test_model_error_leaves_friction_and_stays_within_its_spread(loop_and_courses):
+    loop, _ = loop_and_courses
+    theta = np.linspace(500.0, 1500.0, 24).reshape(12, 2)
+    off = under_model_error(Plants(("k_cp", "k_cn"), theta), loop, spread=0.1)
+    assert off.names == ("k_cp", "k_cn", "beta", "c_p1", "c_n1", "c_p2", "c_n2")
+    assert np.array_equal(off.values[:, :2], theta)
+    own = np.array([8.5e8, 2.24e-9, 2.15e-9, 2.27e-9, 2.11e-9])
+    factors = off.values[:, 2:] / own
+    assert np.all((factors >= 1 / 1.1) & (factors <= 1.1))
+    assert np.all(np.ptp(factors, axis=0) > 0.15)  # spread over all of it
 
 
 def test_tracking_of_a_plant_is_its_run(loop_and_courses):
@@ -158,6 +176,14 @@ def test_the_command_writes_a_rig_with_bounds(tmp_path, capsys, monkeypatch):
     new = RigFile.load(tmp_path / "out" / "rig.toml")
     assert len(new.controller["k_cp"]) == 2
     found = json.loads((tmp_path / "out" / "bounds.json").read_text())
+    errors, way = found["tracking_rms_N"]["others"], found["proposed"]
+    assert way in ("refined", "paper") and errors[way] <= errors["paper"]
+    low, high = (
+        np.array([v[i] for v in found["bounds"]["box"].values()]) for i in (0, 1)
+    )
+    wide = np.array(list(found["bounds"]["refined"].values()))
+    assert np.all(wide[:, 0] <= low) and np.all(wide[:, 1] >= high)
+    assert found["coverage"]["refined"] >= found["coverage"]["box"]
     box = found["bounds"]["box"]
     assert box["k_cp"][0] < 1100 < box["k_cp"][1]  # the logs' rig file says 1.1 kN
     errors = found["tracking_rms_N"]["others"]
