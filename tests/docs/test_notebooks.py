@@ -82,8 +82,11 @@ def written(notebook: Notebook) -> list[str]:
 def run(stem: str) -> Notebook:
     """Run a notebook, at a small size where it has one."""
     notebook = read(stem)
-    if stem in SMALL:
-        made_small(notebook, SMALL[stem])
+    return executed(made_small(notebook, SMALL[stem]) if stem in SMALL else notebook)
+
+
+def executed(notebook: Notebook) -> Notebook:
+    """Run a notebook as it stands."""
     for output in (c for c in notebook.cells if c.cell_type == "code"):
         output.outputs = []
     nbclient.NotebookClient(notebook, timeout=900).execute()
@@ -137,6 +140,16 @@ def test_notebook_runs(stem, monkeypatch, cache_home):
         assert drawn(done) == kept
     if stem == "04_your_own_effect":
         assert "quadratic_drag: added" in printed(done)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stem", SMALL)
+def test_a_long_notebook_keeps_what_it_prints(stem, monkeypatch, cache_home):
+    """At full size: the suite has it small, and cannot compare its figures."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_home))
+    done = executed(read(stem))
+    for shown, ran in zip(written(read(stem)), written(done), strict=True):
+        assert stale(shown, ran) == [], f"run python -m benchmarks.notebooks {stem}"
 
 
 @pytest.mark.skipif(
