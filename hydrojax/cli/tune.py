@@ -19,7 +19,6 @@ from hydrojax.cli.options import (
     RigPath,
     app,
     check_out,
-    check_report,
     command_line,
     console,
     counted,
@@ -29,7 +28,7 @@ from hydrojax.cli.options import (
 from hydrojax.cli.words import read_axes, read_gains, read_point
 from hydrojax.errors import InputError, check_known
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
-from hydrojax.report.files import settle
+from hydrojax.report.files import check_untouched, settle
 
 if TYPE_CHECKING:
     from hydrojax.tune.aims import Aim as AnyAim
@@ -191,7 +190,7 @@ def tune(
     Gains are proposed only if they hold in simulated runs on every plant; exit 1, and
     what stands in the way, where there are none (for any controller, of several).
     """
-    check_report(context, out)
+    check_out(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
     from hydrojax.rigfile.controller import KINDS
@@ -202,6 +201,9 @@ def tune(
     folder = source if os.path.isdir(source) else None
     kinds = list(dict.fromkeys(controller or [""]))
     check_known("--controller:", [k for k in kinds if k], KINDS, "controller")
+    folders = {kind: out / kind if len(kinds) > 1 else out for kind in kinds}
+    for own in folders.values():
+        check_untouched(own)
     found: dict[str, Tuned] = {}
     with show_progress() as progress:
         for kind in kinds:
@@ -219,7 +221,7 @@ def tune(
                 progress=lambda line, kind=kind: progress(f"{kind} {line}".strip()),
             )
             progress("draw")
-            found[kind].save(out / kind if len(kinds) > 1 else out, command_line())
+            found[kind].save(folders[kind], command_line())
     if len(kinds) > 1:
         _print_all(found, out)
     else:

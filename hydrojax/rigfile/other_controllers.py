@@ -54,10 +54,8 @@ def named_controller(
 def with_controller(spec: RigFile, kind: str) -> RigFile:
     """The rig file with a controller of this kind, at its first gains.
 
-    Without a kind it stays as it is.
-
-    What the file says of the loop, its rate and the resolution, stays. A file that
-    names this kind already stays as it is.
+    What it says of the loop, its rate and the resolution, stays. A file that names this
+    kind already is given back as it was, as is any file where `kind` is empty.
 
     Raises:
         InputError: an unknown controller.

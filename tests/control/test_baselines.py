@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hydrojax import cli
 from hydrojax.control.adaptive import Law, Safeguards
 from hydrojax.control.base import RATES, Measured
 from hydrojax.control.baselines import (
@@ -212,3 +213,16 @@ def test_a_rig_file_names_its_controller(file):
         build_loop(pi.with_text(text.replace("k_p =", "k_q =")))
     schema = rig_schema()["properties"]["controller"]["properties"]
     assert "backstepping" in schema["kind"]["enum"] and "k_x" in schema
+
+
+def test_a_rig_file_of_ones_own_stays(tmp_path, monkeypatch, capsys):
+    (tmp_path / "pi").mkdir()
+    (tmp_path / "pi" / "rig.toml").write_text("# mine\n")
+    words = f"hydrojax tune {RIG} --controller fixed pi --out {tmp_path}"
+    monkeypatch.setattr("sys.argv", words.split())
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    said = capsys.readouterr().err.strip()
+    assert end.value.code == 2 and said.count("\n") == 0 and "pi/rig.toml" in said
+    assert (tmp_path / "pi" / "rig.toml").read_text() == "# mine\n"
+    assert not (tmp_path / "fixed").exists()
