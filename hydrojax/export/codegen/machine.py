@@ -11,9 +11,11 @@ import jax
 import numpy as np
 
 from hydrojax import parameters, units
+from hydrojax.export.codegen.elementwise import kind_of
 from hydrojax.export.codegen.emit import Block, helpers
 from hydrojax.export.codegen.graph import PARAMETER, TICK, Graph
-from hydrojax.export.codegen.scalarise import Ids, kind_of, scalarise
+from hydrojax.export.codegen.indexing import Ids
+from hydrojax.export.codegen.scalarise import scalarise
 from hydrojax.export.tree import meaning
 
 Numbers = dict[str, Any]
