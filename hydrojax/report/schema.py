@@ -117,6 +117,36 @@ class EffectRecord(Part):
     share: float | None = None
 
 
+class CurveRecord(Part):
+    """A curve that stands for what no known effect explains; SI. `y` and `std` (of the
+    curve as a whole) at the values `s` of `signal`, less what the rig's own parameters
+    can follow; `seen` the range that it rests on, `rug` samples there, `law` a formula
+    that does as well, with the values `law_y`; errors by channel on the validation
+    logs, and on the `test` logs, RMS; `share` of the squared error above the noise.
+    """
+
+    name: Name
+    place: Name
+    signal: Name
+    signal_unit: Unit
+    factor: str = ""
+    unit: Unit
+    s: list[float] = Field(max_length=COUNT)
+    y: list[float] = Field(max_length=COUNT)
+    std: list[Size] = Field(max_length=COUNT)
+    extrapolated: list[bool] = Field([], max_length=COUNT)
+    seen: tuple[float, float]
+    rug: list[float] = Field([], max_length=COUNT)
+    p_value: Share | None = None
+    before: dict[str, Size | None] = {}
+    after: dict[str, Size | None] = {}
+    share: Share | None = None
+    test: dict[str, ErrorsRecord] = {}
+    alike: list[str] = []
+    law: str = ""
+    law_y: list[float] | None = None
+
+
 class RestRecord(Part):
     """What stays above the noise of a channel, and what it follows; SI."""
 
@@ -236,6 +266,11 @@ class Report(Part):
         "given",
     )
     effects: list[EffectRecord] = Field(description="effects that were named")
+    curves: list[CurveRecord] = Field(
+        [],
+        description="curves for what no known effect explains, where they were asked "
+        "for (`trace --discover`)",
+    )
     candidates: list[CandidateRecord] = Field(
         [], description="every effect that was tried, and what became of it"
     )
