@@ -28,8 +28,8 @@ def export(
     to: Annotated[
         list[str],
         typer.Option(
-            help="toml, json, mat, modelica, fmu (the plant), c (the law): all words "
-            "that follow.",
+            help="toml, json, mat, modelica, fmu (the plant), c (plant and "
+            "controller): all words that follow.",
             show_default=False,
         ),
     ],

@@ -8,16 +8,11 @@ from typing import Any
 import jinja2
 
 
-def c_float(value: Any) -> str:
-    """A float as C has it, all digits, and never an integer."""
-    shown = f"{float(value):.17g}"
-    return shown if any(sign in shown for sign in ".en") else f"{shown}.0"
-
-
 def comment(text: str) -> str:
     """Text that may stand in a comment of C: one line of letters, figures and signs."""
     flat = " ".join(text.split()).encode("ascii", "replace").decode()
-    return "".join("_" if sign in "*/\\?" else sign for sign in flat)
+    flat = flat.replace("*/", "* /").replace("/*", "/ *")
+    return "".join("_" if sign in "\\?" else sign for sign in flat)
 
 
 def fill(template: str, **values: Any) -> str:
@@ -30,6 +25,5 @@ def fill(template: str, **values: Any) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["number"] = c_float
     environment.filters["comment"] = comment
     return environment.get_template(template).render(values)

@@ -22,6 +22,13 @@ def imbalance(
     section 7.2). What the measured pressures' noise brings into it biases a fit; what
     the model lacks does not run on in it, as it does in a replay.
     """
+    return imbalance_behind(rig, w, openings(rig, w))
+
+
+def imbalance_behind(
+    rig: Rig, w: Windows, opened: tuple[Float[Array, "ticks windows"], ...]
+) -> tuple[Float[Array, "windows ticks"], Float[Array, "windows ticks"]]:
+    """The same with the spool where `openings` has it."""
 
     def middle(a):
         return (a[:, :-1] + a[:, 1:]) / 2
@@ -32,7 +39,7 @@ def imbalance(
         refilled(middle(w.P_a2)),
         middle(w.P_s),
         middle(w.P_r),
-        tuple(o.T for o in openings(rig, w)),
+        tuple(o.T for o in opened),
         x=w.x_fine[..., n // 2],
         v=(w.x_fine[..., -1] - w.x_fine[..., 0]) / h,
         line=_lines(rig, w),

@@ -219,6 +219,16 @@ def pressures(
     rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
 ) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
     """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa."""
+    return pressures_behind(rig, w, P_0, openings(rig, w))
+
+
+def pressures_behind(
+    rig: Rig,
+    w: Windows,
+    P_0: Float[Array, "windows 2"],
+    opened: tuple[Float[Array, "ticks windows"], ...],
+) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
+    """The same with the spool where `openings` has it."""
 
     def advance(carry, at):
         (line, P), (opening, inputs) = carry, at
@@ -244,7 +254,7 @@ def pressures(
     inputs = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), inputs)
     P = (P_0[:, 0], P_0[:, 1])
     start = (lines_before(rig, w), P)
-    _, (P_a1, P_a2) = jax.lax.scan(advance, start, (openings(rig, w), inputs))
+    _, (P_a1, P_a2) = jax.lax.scan(advance, start, (opened, inputs))
     return (
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),

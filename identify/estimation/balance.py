@@ -20,12 +20,18 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.optimize import lsq_linear
 
-from hydrojax.identify.estimation.columns import Batch, ParametricRig, basis, slot_names
+from hydrojax.identify.estimation.columns import (
+    Batch,
+    ParametricRig,
+    basis,
+    slot_names,
+)
 from hydrojax.identify.estimation.misfit import filled
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.estimation.sensitivity import opened_along
 from hydrojax.identify.estimation.starts import placed, thinned
 from hydrojax.parameters import put
-from hydrojax.plant.imbalance import imbalance
+from hydrojax.plant.imbalance import imbalance_behind
 
 Values = Float[np.ndarray, "n"]
 
@@ -186,15 +192,17 @@ def _run(
 ) -> Float[Array, "rows_k rows_k"]:
     """Gram matrix of the balances' sums, each over its displacement's RMS."""
     n, w = model.hydraulic, batch.windows
+    opened, moved = opened_along(model, values, directions, w)
+    zero = jnp.zeros(directions.shape[1])
 
-    def rows(d):
+    def rows(d, opened):
         rig = put(model.rig, model.names[:n], values[:n] + directions @ d)
-        return jnp.stack([e @ weight.T for e in imbalance(rig, w)])
+        return jnp.stack([e @ weight.T for e in imbalance_behind(rig, w, opened)])
 
-    def column(e):
-        return jax.jvp(rows, (jnp.zeros(directions.shape[1]),), (e,))
+    def column(*along):
+        return jax.jvp(rows, (zero, opened), along)
 
-    lacks, by = jax.vmap(column, out_axes=(None, 0))(jnp.eye(directions.shape[1]))
+    lacks, by = jax.vmap(column, out_axes=(None, 0))(jnp.eye(len(zero)), moved)
     swept = jnp.diff(w.x_fine[..., :: w.x_fine.shape[-1] - 1], axis=-1)[..., 0]
     size = jnp.sqrt(jnp.mean((swept @ weight.T) ** 2))
     per = jnp.sqrt(batch.weight)[None, :, None] / size

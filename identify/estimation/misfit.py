@@ -24,6 +24,8 @@ from hydrojax.identify.estimation.columns import (
     Basis,
     Batch,
     ParametricRig,
+)
+from hydrojax.identify.estimation.sensitivity import (
     driven_pressures,
     recall,
     sensitivities,
@@ -88,7 +90,7 @@ def _of_windows(
     reduce: Callable[[Batch, Array, Array], PyTree],
 ) -> PyTree:
     """`reduce` of a batch, its predictions and their derivatives, window by window."""
-    recalled = recall(model, values, batch.motion)
+    recalled = recall(model, values, directions, batch.motion)
 
     def side_by_side(windows, P_0, weight):
         own = batch._replace(windows=windows, P_0=P_0, weight=weight)

@@ -18,6 +18,8 @@ from hydrojax.identify.estimation.columns import (
     Batch,
     ParametricRig,
     basis,
+)
+from hydrojax.identify.estimation.sensitivity import (
     driven_pressures,
     recall,
     sensitivities,
@@ -584,7 +586,7 @@ def batch(log):
 def moved(model, values, directions, b, simulate):
     """Predictions and columns, as a fit makes them."""
     pressure = driven_pressures(model, values, directions, b, simulate)
-    memory = recall(model, values, b.motion)
+    memory = recall(model, values, directions, b.motion)
     return sensitivities(model, values, directions, b.windows, pressure, memory)
 
 

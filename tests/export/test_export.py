@@ -1,6 +1,5 @@
 """Rigs for other tools: each file read by its own reader, against the simulator."""
 
-import ctypes
 import json
 import re
 import shutil
@@ -30,6 +29,7 @@ from hydrojax.rigfile.controller import file_keys
 from hydrojax.rigfile.other_controllers import with_controller
 from hydrojax.rigfile.scenarios import rig_scenario
 from hydrojax.rigfile.schema import RigFile
+from tests.export.c_code import Native
 
 REFERENCE = (resources.files("hydrojax") / "paper/reference.toml").read_text()
 
@@ -297,80 +297,44 @@ def test_names_that_mean_something_elsewhere_are_changed(tmp_path):
 
 # -- the law in C --
 
-DOUBLE = ctypes.c_double
+
+ONCE = [
+    pytest.param(k, marks=pytest.mark.slow) for k in ("linearizing", "backstepping")
+]
 
 
-class Reading(ctypes.Structure):
-    _fields_ = [(name, DOUBLE) for name in ("P_a1", "P_a2", "P_s", "F", "x")]
-
-
-class Memory(ctypes.Structure):
-    _fields_ = [
-        ("estimates", DOUBLE * 9),
-        *((name, DOUBLE) for name in ("x", "v", "z", "speed", "P_d", "P_d_rate")),
-    ]
-
-
-@pytest.fixture(scope="module")
-def compiler():
-    cc = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if cc is None:
-        pytest.skip("no C compiler on this machine")
-    return cc
-
-
-def compiled(spec, folder, cc):
-    for name, content in export.export(spec, ["c"]).files.items():
-        (folder / name).write_bytes(content)
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2"]
-    library = folder / "law.so"
-    subprocess.run(
-        [cc, *strict, "-shared", "-fPIC", "-o", library, folder / "law.c", "-lm"],
-        check=True,
+def with_kind(kind):
+    return (
+        REFERENCE[: REFERENCE.index("[controller]")] + f"[controller]\nkind = '{kind}'"
     )
-    law = ctypes.CDLL(str(library))
-    law.law_step.restype = DOUBLE
-    for function in (law.law_init, law.law_step):
-        pointers = [ctypes.c_void_p] * 3
-        function.argtypes = [*pointers, DOUBLE]
-    return law
 
 
 @pytest.mark.filterwarnings("ignore:a pressure left")  # one chamber cannot pull
-@pytest.mark.parametrize("case", LAWS)
-def test_the_law_in_c_is_the_law_of_the_simulator(case, tmp_path, compiler):
-    spec = spec_of(LAWS[case], tmp_path)
-    law = compiled(spec, tmp_path, compiler)
-    loop, run = closed_loop(spec, 6.0)
-    names = loop.law.rate._fields
-    rig, state = ctypes.addressof(ctypes.c_char.in_dll(law, "law_rig")), Memory()
-    seen = np.stack([run[field[0]] for field in Reading._fields_], axis=1)
-    u, estimates = np.empty(run.t.size), np.empty((run.t.size, 9))
-    for k, (row, F_d) in enumerate(zip(seen, run.F_d, strict=True)):
-        reading = Reading(*row)
-        if k == 0:
-            law.law_init(ctypes.byref(state), rig, ctypes.byref(reading), F_d)
-        estimates[k] = state.estimates
-        u[k] = law.law_step(ctypes.byref(state), rig, ctypes.byref(reading), F_d)
-    assert np.max(np.abs(u - run["u"])) < 1e-9 * np.max(np.abs(run["u"]))
+@pytest.mark.parametrize("case", [*LAWS, "pi", *ONCE])
+def test_the_law_in_c_is_the_law_of_the_simulator(case, tmp_path):
+    spec = spec_of(LAWS.get(case) or with_kind(case), tmp_path)
+    files = {n: c.decode() for n, c in export.export(spec, ["c"]).files.items()}
+    assert set(files) == {"law.h", "law.c", "plant.h", "plant.c"}
+    law = {n: text for n, text in files.items() if n.startswith("law")}
+    native = Native("law", law, tmp_path)
+    loop, run = closed_loop(spec, 2.0)
+    assert native.inputs == ["P_a1", "P_a2", "P_s", "F", "x", "F_d"]
+    seen = np.stack([*(run[n] for n in native.inputs[:-1]), run.F_d], axis=1)
+    head = law["law.c"].split("law_rig = {")[1].split("};")[0]
+    values = [float(v) for v in re.findall(r" = \(?([^,()]+)\)?,", head)]
+    states, outs = native.run(values, seen)
+    assert np.max(np.abs(outs[1:, 0] - run["u"])) < 1e-9 * np.max(np.abs(run["u"]))
+    if case not in LAWS:
+        return
+    names, adapts = loop.law.rate._fields, [float(r) > 0 for r in loop.law.rate]
     for i, name in enumerate(names):
+        found = states[:-1, native.state.index(f"estimates_{name}")]
         size = np.max(np.abs(run[name]))
-        assert np.max(np.abs(estimates[:, i] - run[name])) <= 1e-9 * size, name
+        assert np.max(np.abs(found - run[name])) <= 1e-9 * size, name
+        assert (np.ptp(run[name]) > 0) == adapts[i]
     if case == "guarded":  # all that the safeguards do was done
         assert 0.02 < np.mean(np.abs(run["u"]) >= 0.3) < 0.98
-    moved = [name for name in names if np.ptp(run[name]) > 0]
-    adapted = [n for n, r in zip(names, loop.law.rate, strict=True) if float(r) > 0]
-    assert moved == adapted and len(adapted) == (9 if case == "every" else 8)
-
-
-def test_the_law_in_c_keeps_nothing_and_takes_no_memory(tmp_path):
-    source = export.export(spec_of(REFERENCE, tmp_path), ["c"]).files["law.c"]
-    text = re.sub(r"/\*.*?\*/", "", source.decode(), flags=re.DOTALL)
-    assert not re.search(r"\b(malloc|calloc|alloca|free)\b", text)
-    objects = re.findall(
-        r"^(?!static double|static void|double|void|#)\w.*=", text, re.M
-    )
-    assert objects == ["const law_parameters law_rig ="]
+    assert sum(adapts) == (9 if case == "every" else 8)
 
 
 def test_defaults_of_the_law_are_said(tmp_path):
@@ -656,11 +620,6 @@ def test_an_fmu_takes_effects_of_the_users_own_along(fmpy, tmp_path):
     [
         (REFERENCE, ["jsn"], "--to: unknown format 'jsn'; did you mean 'json'?"),
         (REFERENCE, [], "--to: name one or more of toml, json"),
-        (
-            'layout = "driven-axis"\n[controller]\nk_p = 1\n',
-            ["json", "c"],
-            "layout 'driven-axis' has no valve",
-        ),
         (REFERENCE.replace("k_p =", "k_q ="), ["c"], r"[controller] unknown key 'k_q'"),
     ],
 )
@@ -679,6 +638,7 @@ def test_an_axis_without_a_valve_has_friction_only(fmpy, tmp_path):
     spec = spec_of(text, tmp_path)
     tree = json.loads(one(spec, "json"))
     assert "beta" not in tree["parameters"] and tree["controller"] == {}
+    assert set(export.export(spec, ["c"]).files) == {"plant.h", "plant.c"}
     (tmp_path / "axis.fmu").write_bytes(one(spec, "fmu"))
     t = np.arange(2001) * 1e-3
     table = np.empty(t.size, [(n, float) for n in ("time", "P", "x", "v", "a")])
@@ -702,10 +662,8 @@ def test_the_command_line_refuses_to_overwrite_the_rig(tmp_path):
     assert (tmp_path / "rig.toml").read_text() == REFERENCE
 
 
-def test_only_the_papers_law_is_written_as_c(tmp_path):
+def test_toml_keeps_another_controller_than_the_papers(tmp_path):
     spec = with_controller(spec_of(REFERENCE, tmp_path), "pi")
-    with pytest.raises(InputError, match="not PIController; set kind = 'adaptive'"):
-        export.export(spec, ["c"])
     tree = json.loads(one(spec, "json"))["controller"]
     assert {"k_p", "k_i", "k_v", "rate"} <= set(tree) and "kappa" not in tree
     (tmp_path / "out.toml").write_bytes(one(spec, "toml"))

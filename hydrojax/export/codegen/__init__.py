@@ -1,0 +1,1 @@
+"""C from a jaxpr: every element a number, every operation a line."""

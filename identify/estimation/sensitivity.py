@@ -1,0 +1,261 @@
+"""What a model predicts in windows, and how each direction moves that.
+
+Forward mode in the stages of the replay, each with its own derivatives: memory of the
+motion once for all windows, the command's path, pressures by integration, force tick by
+tick (so that two partial derivatives serve every column that acts through the
+pressures), sensors last. Each stage is run along what moves it and along nothing else.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hydrojax.identify.estimation.columns import (
+    NUISANCE,
+    SUPPLY_BLOCKS,
+    Basis,
+    Batch,
+    ParametricRig,
+)
+from hydrojax.parameters import get, put, specs
+from hydrojax.plant.replay import (
+    Motion,
+    Past,
+    Windows,
+    forces,
+    friction_memory,
+    openings,
+    pressures_behind,
+    sensed,
+)
+from hydrojax.plant.rig import Rig
+
+
+def memory_names(rig: Rig) -> tuple[str, ...]:
+    """The parameters on which bristle, filtered speed and films depend."""
+    moved = (
+        f"{effect.name}.{field}"
+        for effect in (*rig.stretch, *rig.velocity)
+        for field in specs(effect)
+    )
+    return ("z_ss", "L_rate", *moved)
+
+
+class Recalled(NamedTuple):
+    """What friction sees of the motion over the whole log, and its derivatives by each
+    parameter of `memory_names`, on a first axis; with no directions to move along,
+    none.
+
+    Attributes:
+        past: what it sees.
+        by: the derivatives; 0 by what no direction moves.
+        along: how the directions and what each window has of its own move those
+            parameters.
+    """
+
+    past: Past
+    by: Past | None
+    along: Float[Array, "names columns"]
+
+
+def recall(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    directions: Basis,
+    motion: Motion,
+) -> Recalled:
+    """What friction remembers of the motion: once for all windows."""
+    here = put(model.rig, model.names, values)
+    names = memory_names(here)
+    past = friction_memory(here, motion)
+    k_1, k_2 = directions.hydraulic.shape[1], directions.other.shape[1]
+    every = jnp.zeros((len(model.names), k_1 + k_2 + NUISANCE))
+    every = every.at[: model.hydraulic, :k_1].set(directions.hydraulic)
+    every = every.at[model.hydraulic :, k_1 : k_1 + k_2].set(directions.other)
+    every = every[np.array([model.names.index(m) for m in names])]
+    if not k_1 + k_2:
+        return Recalled(past, None, every)
+
+    def along(name: str) -> Past:
+        def memory(of):
+            return friction_memory(put(here, (name,), of), motion)
+
+        return jax.jvp(memory, (get(here, (name,)),), (jnp.ones(1),))[1]
+
+    def still() -> Past:
+        return jax.tree.map(jnp.zeros_like, past)
+
+    # One by one: each runs only what it moves, and not at all where nothing moves it.
+    by = [
+        jax.lax.cond(jnp.any(row != 0), partial(along, name), still)
+        for name, row in zip(names, every, strict=True)
+    ]
+    return Recalled(past, jax.tree.map(lambda *a: jnp.stack(a), *by), every)
+
+
+class Pressures(NamedTuple):
+    """Both pressures (Pa), and their derivatives along k_1 hydraulic directions and
+    each of the windows' own unknowns (`NUISANCE`).
+    """
+
+    P: tuple[Float[Array, "windows ticks"], Float[Array, "windows ticks"]]
+    by: tuple[Float[Array, "k windows ticks"], Float[Array, "k windows ticks"]]
+
+
+Opened = tuple[Float[Array, "ticks windows"], ...]
+"""The spool's opening, as `Point` has it."""
+
+OpenedBy = tuple[Float[Array, "columns ticks windows"], ...]
+"""Its derivatives."""
+
+
+def opened_along(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    hydraulic: Float[Array, "n_1 k"],
+    w: Windows,
+) -> tuple[Opened, OpenedBy]:
+    """The spool's opening, and how it moves along hydraulic directions.
+
+    Only what the command passes through moves it: no other derivative is run, and none
+    where no direction moves any of that.
+    """
+    here = put(model.rig, model.names[: model.hydraulic], values[: model.hydraulic])
+    names = tuple(f"{e.name}.{field}" for e in here.command for field in specs(e))
+    opened, k = openings(here, w), hydraulic.shape[1]
+
+    def still() -> OpenedBy:
+        return jax.tree.map(lambda a: jnp.zeros((k, *a.shape)), opened)
+
+    if not names or not k:
+        return opened, still()
+    rows = hydraulic[np.array([model.names.index(name) for name in names])]
+    at = get(here, names)
+
+    def moved(of):
+        return openings(put(here, names, of), w)
+
+    def along(d):
+        return jax.jvp(moved, (at,), (d,))[1]
+
+    def moving() -> OpenedBy:
+        if k <= len(names):
+            return jax.vmap(along)(rows.T)
+        each = jax.vmap(along)(jnp.eye(len(names)))
+        return jax.tree.map(lambda a: jnp.tensordot(rows.T, a, axes=1), each)
+
+    return opened, jax.lax.cond(jnp.any(rows != 0), moving, still)
+
+
+def driven_pressures(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    directions: Basis,
+    batch: Batch,
+    simulate: bool,
+) -> Pressures:
+    """The pressures along the hydraulic directions, the two initial pressures (per
+    Pa), and the supply's error in each block (per standard deviation of its mean).
+
+    With `simulate` False they are the log's, and nothing moves them.
+    """
+    rig, names, n = model.rig, model.names, model.hydraulic
+    w = batch.windows
+    k_1 = directions.hydraulic.shape[1]
+    if not simulate:
+        still = jnp.zeros((k_1 + NUISANCE, *w.P_a1.shape))
+        return Pressures((w.P_a1, w.P_a2), (still, still))
+    ticks = w.P_s.shape[1]
+    block = jnp.arange(ticks) * SUPPLY_BLOCKS // ticks
+    of_mean = batch.supply_noise / np.sqrt(ticks / SUPPLY_BLOCKS)
+
+    opened, by = opened_along(model, values, directions.hydraulic, w)
+    # What each window has of its own does not move the spool.
+    by = jax.tree.map(lambda a: jnp.pad(a, ((0, NUISANCE), (0, 0), (0, 0))), by)
+
+    def run(d, P_shift, supply, opened):
+        # What does not move the rig has no derivative by it to be run along.
+        move = directions.hydraulic @ d if k_1 else 0.0
+        at = put(rig, names[:n], values[:n] + move)
+        moved = w._replace(P_s=w.P_s + of_mean * supply[block])
+        return pressures_behind(at, moved, batch.P_0 + P_shift, opened)
+
+    def along(e, by):
+        parts = (e[:k_1], e[k_1 : k_1 + 2], e[k_1 + 2 :], by)
+        return jax.jvp(run, zero, parts)
+
+    zero = (jnp.zeros(k_1), jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS), opened)
+    return Pressures(*jax.vmap(along, out_axes=(None, 0))(jnp.eye(k_1 + NUISANCE), by))
+
+
+def sensitivities(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    directions: Basis,
+    w: Windows,
+    pressure: Pressures,
+    recalled: Recalled,
+) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "columns windows ticks 3"]]:
+    """Predictions and their derivatives along k + `NUISANCE` columns, SI.
+
+    The columns are those of `directions`, then what each window has of its own;
+    `pressure` is of these windows, `recalled` of the motion they are cut from.
+    """
+    names, n = model.names, model.hydraulic
+    here = put(model.rig, names, values)
+    past = recalled.past.within(w)
+    k_1, k_2 = directions.hydraulic.shape[1], directions.other.shape[1]
+    P_1, P_2 = pressure.P
+
+    def moved(d):
+        return put(here, names[n:], values[n:] + directions.other @ d) if k_2 else here
+
+    F, F_1 = _partial(lambda p: forces(here, w, p, P_2, past), P_1)
+    F_2 = _partial(lambda p: forces(here, w, P_1, p, past), P_2)[1]
+    zero = jnp.zeros(k_2)
+
+    def force(d):
+        return forces(moved(d), w, P_1, P_2, past)
+
+    own = jax.vmap(lambda e: jax.jvp(force, (zero,), (e,))[1])(jnp.eye(k_2))
+    by_1, by_2 = pressure.by
+    still = jnp.zeros((k_2, *P_1.shape))
+    d_P = [jnp.concatenate([d[:k_1], still, d[k_1:]]) for d in (by_1, by_2)]
+    through = F_1 * by_1 + F_2 * by_2
+    d_F = jnp.concatenate([through[:k_1], own, through[k_1:]])
+    if recalled.by is not None:
+        d_F = d_F + _through_memory(here, w, pressure.P, recalled)
+
+    def read(d, P_1, P_2, F):
+        return sensed(moved(d), w, P_1, P_2, F)
+
+    at = (zero, P_1, P_2, F)
+    aside = jnp.zeros((k_1 + NUISANCE, k_2))
+    sensor = jnp.concatenate([aside[:k_1], jnp.eye(k_2), aside[k_1:]])
+    return jax.vmap(lambda *along: jax.jvp(read, at, along), out_axes=(None, 0))(
+        sensor, *d_P, d_F
+    )
+
+
+def _partial(f, at: Array) -> tuple[Array, Array]:
+    """Value and derivative of a function of each element by itself."""
+    return jax.jvp(f, (at,), (jnp.ones_like(at),))
+
+
+def _through_memory(
+    here: Rig, w: Windows, P: tuple[Array, Array], recalled: Recalled
+) -> Array:
+    """How the force moves with what friction remembers, [k + NUISANCE, W, lead+T]."""
+    past = recalled.past.within(w)
+
+    def one(by):
+        along = (by.within(w),)
+        return jax.jvp(lambda p: forces(here, w, *P, p), (past,), along)[1]
+
+    return jnp.tensordot(recalled.along.T, jax.vmap(one)(recalled.by), axes=1)
