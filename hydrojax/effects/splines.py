@@ -10,7 +10,7 @@ DEGREE = 3
 
 
 def bspline(
-    s: Float[Array, "*batch"], knots: Float[ArrayLike, "n+4"]
+    s: Float[ArrayLike, "*batch"], knots: Float[ArrayLike, "n+4"]
 ) -> Float[Array, "*batch n"]:
     """The n cubic B-splines of a knot vector at `s` (Cox and de Boor's recursion).
 
@@ -31,7 +31,7 @@ def bspline(
 
 
 def curve(
-    s: Float[Array, "*batch"],
+    s: Float[ArrayLike, "*batch"],
     knots: Float[ArrayLike, "n+4"],
     coefficients: Float[ArrayLike, "n"],
 ) -> Float[Array, "*batch"]:

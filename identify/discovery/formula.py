@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -198,7 +199,7 @@ def _best(form, columns, onto, rows, size, penalty):
     at = [fitted(s)[0] for s in tried]
     i = int(np.argmin(at))
     ends = tried[max(i - 1, 0)], tried[min(i + 1, GRID - 1)]
-    found = minimize_scalar(lambda s: fitted(s)[0], bounds=ends, method="bounded")
+    found: Any = minimize_scalar(lambda s: fitted(s)[0], bounds=ends, method="bounded")
     shape = float(found.x) if found.fun < at[i] else float(tried[i])
     chi2, a, std = fitted(shape)
     return chi2 + count * penalty, form, a, std, shape

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import equinox as eqx
 import numpy as np
@@ -23,7 +23,8 @@ from hydrojax.identify.discovery.smooth import Columns, Smooth, directions, smoo
 from hydrojax.identify.estimation.fit import fit_jointly, fit_pressures, only
 from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.identify.tracing.judge import cost, judge, worse
+from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.identify.tracing.judge import chance, cost, judge, worse
 from hydrojax.identify.tracing.score import Projection, Score, family
 from hydrojax.identify.tracing.screen import size_that_matters
 from hydrojax.identify.tracing.state import Tracing
@@ -59,10 +60,13 @@ class Curve:
 
 @dataclass(frozen=True)
 class Search:
-    """Where a search stands: the fit, and the curves in it."""
+    """Where a search stands: the fit, the curves in it, and, where it has ended, the
+    sums of their columns by name.
+    """
 
     state: Tracing
     curves: tuple[Curve, ...] = ()
+    columns: Mapping[str, Columns] = field(default_factory=dict)
 
     @property
     def taken(self) -> set[str]:
@@ -102,8 +106,14 @@ def search(begun: Search, every: Sequence[Laid]) -> Search:
         upstream = [one for one in every if PLACES[one.term.place].hydraulic]
         begun = _stage(begun, upstream, only(state.noise, PRESSURES))
     if np.isfinite(state.noise[2]):
+        if begun.curves:
+            begun = refitted(begun, state.noise)
         begun = _stage(begun, every, state.noise)
-    return begun
+    state = begun.state
+    weights = np.where(np.isfinite(state.noise), state.point.weights, np.inf)
+    laid = [curve.laid for curve in begun.curves]
+    columns = columns_of(begun, laid, weights) if laid else {}
+    return replace(begun, columns=columns)
 
 
 def _stage(at: Search, every: Sequence[Laid], noise: np.ndarray) -> Search:
@@ -188,7 +198,7 @@ def _score(name: str, columns: Columns, smooth: Smooth) -> Score:
     """The test of a term, in the directions that are its own."""
     own = directions(columns.H, columns.whole)
     by_window = columns.by_window @ own
-    none = Score(name, 0.0, smooth.c, 1.0, 0.0, 0.0, 0.0)
+    none = Score(name, 0.0, smooth.c, 1.0, 0.0, columns.left, 0.0)
     if not own.shape[1]:
         return none
     g = by_window.sum(axis=0)
@@ -222,7 +232,7 @@ def _round(at: Search, every: Sequence[Laid], noise: np.ndarray) -> Search:
     least = criteria.smallest_gain * size_that_matters(state, noise)
     by_name = {one.term.name: one for one in every}
     order = sorted(scores.values(), key=lambda s: -s.gain)
-    worth = [s for s in order if s.gain > least and p[s.name] < criteria.level]
+    worth = [s for s in order if s.gain > least and _worth(p[s.name], s, criteria)]
     before = state.check.errors_at(state.point.values)
     helped = []
     for s in worth[: criteria.tries]:
@@ -245,9 +255,16 @@ def _round(at: Search, every: Sequence[Laid], noise: np.ndarray) -> Search:
         if not worse(h.curves[-1].after, best.curves[-1].after, noise,
                      criteria.worse_by)
     )  # fmt: skip
-    curves = (*best.curves[:-1], replace(best.curves[-1], alike=alike))
+    found = best.curves[-1]
+    p_value = min(found.p_value, len(scores) * chance(before, found.after, noise))
+    curves = (*best.curves[:-1], replace(found, alike=alike, p_value=p_value))
     state.progress(f"kept {curves[-1].laid.term.name}")
     return replace(best, curves=curves)
+
+
+def _worth(p_value: float, s: Score, criteria: Criteria) -> bool:
+    """As a named effect: significant, or large whatever its p-value."""
+    return p_value < criteria.level or s.share > criteria.promising
 
 
 def fitted(

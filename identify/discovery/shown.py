@@ -18,7 +18,6 @@ from hydrojax.identify.discovery.search import (
     Curve,
     Samples,
     Search,
-    columns_of,
     with_laid,
 )
 from hydrojax.identify.discovery.smooth import covariance
@@ -38,12 +37,10 @@ def shown(
 
     `fit` and `check` are what the fitted and the other logs hold of every signal.
     """
-    state = at.state
-    weights = np.where(np.isfinite(state.noise), state.point.weights, np.inf)
     tested = _tested(at, start, case)
     out = []
     for curve in at.curves:
-        columns = columns_of(at, [curve.laid], weights)[curve.laid.term.name]
+        columns = at.columns[curve.laid.term.name]
         one = _shown(at, curve, columns, case, fit, check)
         out.append(replace(one, test=tested))
     return tuple(out)

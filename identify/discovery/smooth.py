@@ -38,6 +38,7 @@ class Columns:
         g: products of the projected columns with the residual at zero coefficients.
         by_window: each window's part of `g` where the fit stands.
         inflation: variance of the scores over that of white residuals, 1.
+        left: chi-square where the fit stands.
     """
 
     H: Float[np.ndarray, "k k"]
@@ -45,6 +46,7 @@ class Columns:
     g: Float[np.ndarray, "k"]
     by_window: Float[np.ndarray, "windows k"]
     inflation: float
+    left: float
 
     @classmethod
     def of(
@@ -64,7 +66,7 @@ class Columns:
         H_own = np.diag(own.T @ H @ own)
         ratio = np.sum(apart**2, axis=0) / np.maximum(H_own, 1e-300)
         inflation = float(np.mean(ratio)) if own.shape[1] else 1.0
-        return cls(H, whole, g, scores, max(inflation, 1.0))
+        return cls(H, whole, g, scores, max(inflation, 1.0), projection.left)
 
 
 def directions(
