@@ -17,7 +17,8 @@ from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.report.figures import every_parameter, judged
 from hydrojax.identify.report.write import plot, result_html, write_report
-from hydrojax.identify.results.outcome import FoundCurve, FoundEffect, Outcome
+from hydrojax.identify.results.curve import FoundCurve
+from hydrojax.identify.results.outcome import FoundEffect, Outcome
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant.rig import Rig
 from hydrojax.report.text import p_equation

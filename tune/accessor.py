@@ -37,9 +37,10 @@ def sentences(data: xr.Dataset) -> list[str]:
             said.append(f"{way}: no cell is stable")
             continue
         where = ", ".join(f"{n} = {float(best[n]):.4g}" for n in axes_of(data))
+        band, peak = (float(best[f"{way}_{k}"]) for k in ("within_1dB", "peak"))
         said.append(
-            f"{way}: widest within 1 dB {float(best[f'{way}_within_1dB']):.1f} Hz at "
-            f"{where}, peak {float(best[f'{way}_peak']):.1f} dB"
+            f"{way}: widest band within 1 dB {band:.1f} Hz at {where}, "
+            f"peak {peak:.1f} dB"
         )
     return said
 

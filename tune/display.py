@@ -91,11 +91,33 @@ def sentence(t: Tuning) -> str:
     if now.peak.max() > t.limits.peak_dB + PEAK_SLACK:
         said += f" The limit of {t.limits.peak_dB:g} dB on the peak is not kept."
     if not was.sound:
-        bad = (was.eigenvalue >= 1) | was.oscillates.any(0)
-        said += f" Before, {int(bad.sum())} of {count} plants oscillate."
+        said += f" Before, {_oscillating(t)} of {count} plants oscillate."
     if t.edges:
         said += f" At an end of the range that was searched: {', '.join(t.edges)}."
     return said.replace("-", "−")
+
+
+def headline(t: Tuning) -> str:
+    """The result in one short sentence."""
+    was, now = t.proposal.before, t.proposal.after
+    count = now.follows_to.size
+    if t.obstacles:
+        return (
+            f"No gains are proposed: none that were tried hold on all {count} plants."
+        )
+    before = f"{was.follows_to.min():.1f} Hz before."
+    if not was.sound:
+        before = f"before, {_oscillating(t)} of them oscillate."
+    return (
+        f"F follows F_d up to {now.follows_to.min():.1f} Hz on the worst of {count} "
+        f"plants; {before}"
+    )
+
+
+def _oscillating(t: Tuning) -> int:
+    """How many plants oscillate with the gains before."""
+    was = t.proposal.before
+    return int(((was.eigenvalue >= 1) | was.oscillates.any(0)).sum())
 
 
 def summary(t: Tuning) -> str:

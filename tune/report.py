@@ -16,6 +16,7 @@ from hydrojax.tune.display import (
     bode_figure,
     ends,
     front_figure,
+    headline,
     limit,
     limits_figure,
     metrics_table,
@@ -70,8 +71,8 @@ CAPTIONS = {
     "map_rms_error": "Tracking error measured in simulation, in N.",
     "map_": "Widest band over the remaining two axes, in Hz.",
     "lines": "Bandwidth, peak and error over the axis; dashed: the rig file's value.",
-    "bode": "Output force over desired force of the rig file's gains, of the widest "
-    "cell, and of the one next to instability.",
+    "bode": "Output force over desired force of the rig file's gains (of the cell "
+    "nearest to them), of the widest cell, and of the one next to instability.",
 }
 """By what a picture of a sweep is called."""
 
@@ -141,6 +142,7 @@ def write(t: Tuning, out: Path, command_line: str = "") -> None:
         t=t,
         rows=metrics_table(t),
         pictures=shown,
+        headline=headline(t),
         sentence=sentence(t),
         limit=limit(t),
         ends=ends(t),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import typer
@@ -118,14 +118,27 @@ def report_page() -> str:
         "[report.schema.json](report.schema.json) is its JSON schema.\n",
         table(("key", "type", "meaning"), rows),
     ]
+    return "\n".join([*parts, *_nested(keys, known, set())])
+
+
+def _nested(
+    keys: Mapping[str, Shape], known: Mapping[str, Shape], shown: set[str], at: str = ""
+) -> Iterator[str]:
+    """A table for each kind of table that keys hold, where it is first met."""
     for name, shape in keys.items():
         inner = _inner(_real(shape, known), known)
-        if inner is not None and inner.get("properties"):
-            own = inner["properties"].items()
-            fields = [(f"`{k}`", _type(v, known)) for k, v in own]
-            said = " ".join(inner.get("description", "").split())
-            parts += [f"## {name}\n", said + "\n", table(("key", "type"), iter(fields))]
-    return "\n".join(parts)
+        if inner is None or not inner.get("properties") or inner["title"] in shown:
+            continue
+        shown.add(inner["title"])
+        own = inner["properties"]
+        rows = (
+            (f"`{k}`", _type(v, known), v.get("description", ""))
+            for k, v in own.items()
+        )
+        yield f"{'###' if at else '##'} {at}{name}\n"
+        yield " ".join(inner.get("description", "").split()) + "\n"
+        yield table(("key", "type", "meaning"), rows)
+        yield from _nested(own, known, shown, f"{name}.")
 
 
 Shape = Mapping[str, Any]

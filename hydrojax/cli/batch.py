@@ -17,6 +17,7 @@ from hydrojax.cli.options import (
     Profile,
     app,
     check_out,
+    command_line,
     console,
     counted,
     errors,
@@ -95,6 +96,7 @@ def batch(
             ran = run_fleet(
                 jobs, out, options, workers, cluster, progress,
                 limits=JobLimits(job_seconds, int(job_memory * 2**30)),
+                command_line=command_line(),
             )  # fmt: skip
     except Stopped as stop:
         errors.print(

@@ -9,7 +9,7 @@ import typer
 from rich.table import Column, Table
 
 from hydrojax.cli.identify import print_json
-from hydrojax.cli.options import Json, app, check_out, console
+from hydrojax.cli.options import Json, app, check_out, command_line, console
 from hydrojax.report.files import write_all
 
 
@@ -34,7 +34,7 @@ def compare(
 
     found: Comparison = compared(a, b)
     if out is not None:
-        write_all(out, {"compare.html": found.html().encode()})
+        write_all(out, {"compare.html": found.html(command_line()).encode()})
     if json:
         print_json(found.to_dict())
         return
@@ -55,6 +55,6 @@ def compare(
         apart = "–" if pair.apart is None else f"{pair.apart:.1f}"
         table.add_row(pair.name, pair.text("a"), pair.text("b"), pair.change, apart)
     console.print(table)
-    console.print("std: the difference in standard deviations of it")
+    console.print("std: the difference over its standard deviation")
     if out is not None:
         console.print(f"page in {out / 'compare.html'}")

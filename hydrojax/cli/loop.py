@@ -230,7 +230,9 @@ def paper(context: typer.Context, out: Out = Path("hydrojax-paper")) -> None:
     write_all(out, files)
     table = Table("RMS, N", "a", "b", "c", "d", "the paper says")
     for name in ("fig2", "fig3", "fig4"):
-        figures = (f"{v:.3g}" for v in content[name].values())
+        figures = (
+            f"{v:.0f}" if v >= 1000 else f"{v:.3g}" for v in content[name].values()
+        )
         table.add_row(name, *figures, contents.PAPER_SAYS[name])
     console.print(table)
     for line in contents.lines(content):

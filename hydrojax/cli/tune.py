@@ -244,7 +244,7 @@ def _print_all(found: Mapping[str, Tuned], out: Path) -> None:
     for name, tuned in found.items():
         for line in tuned.obstacles:
             console.print(f"- {name}: {line}")
-    console.print(f"of the worst of the plants; a folder for each in {out}")
+    console.print(f"figures of the worst plant; a folder for each controller in {out}")
 
 
 def _aim(word: str, tolerance: float) -> AnyAim:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hydrojax.errors import InputError
-from hydrojax.report.page import page
+from hydrojax.report.page import made_by, page
 from hydrojax.report.record import read_report
 from hydrojax.report.schema import ChannelRecord, ParameterRecord, Report
 from hydrojax.report.text import quantity_text
@@ -91,9 +91,10 @@ class Comparison:
             row["apart"] = pair.apart
         return out
 
-    def html(self) -> str:
-        """A page of its own."""
-        return page(Path(__file__).parent / "compare.html", (), c=self, far=APART)
+    def html(self, command_line: str = "") -> str:
+        """A page of its own; `command_line` is what it says that made it."""
+        template, made = Path(__file__).parent / "compare.html", made_by(command_line)
+        return page(template, (), c=self, far=APART, made=made)
 
 
 def compare(a: str | Path, b: str | Path) -> Comparison:

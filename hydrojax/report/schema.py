@@ -6,227 +6,30 @@ another hand, or half a disk; docs/reference publishes it as a JSON schema.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
-from pydantic import model_validator as checked
+from pydantic import ConfigDict, Field
 
-from hydrojax import units
-from hydrojax.errors import COUNT, WORD, one_line
+from hydrojax.report.curve import CurveRecord
+from hydrojax.report.parts import (
+    CandidateRecord,
+    ChannelRecord,
+    CovarianceRecord,
+    EffectRecord,
+    FileRecord,
+    InputRecord,
+    LogsRecord,
+    LoopRecord,
+    MadeRecord,
+    Name,
+    ParameterRecord,
+    Part,
+    RestRecord,
+    Share,
+    Size,
+)
 
 FORMAT = "hydrojax-report/1"
-
-NOT_NEGATIVE = -1e-6
-"""Least eigenvalue of a correlation matrix that rounding may give."""
-
-
-def _name(name: str) -> str:
-    if not name or len(name) > WORD or not name.isprintable():
-        raise ValueError("expected a name that can be printed")
-    return name
-
-
-def _unit(unit: str) -> str:
-    if not units.fits(unit, unit):
-        raise ValueError(f"unknown unit {one_line(unit, 40)!r}")
-    return unit
-
-
-Name = Annotated[str, AfterValidator(_name)]
-Unit = Annotated[str, AfterValidator(_unit)]
-Size = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
-
-
-class Part(BaseModel):
-    """What all parts of a report have in common: finite numbers, no conversions."""
-
-    model_config = ConfigDict(
-        frozen=True, strict=True, allow_inf_nan=False, extra="ignore"
-    )
-
-
-class ParameterRecord(Part):
-    """A parameter; SI. `value` is None where it is infinite, `std` where not fitted."""
-
-    value: float | None
-    std: Size | None = None
-    unit: Unit
-    interval: tuple[float | None, float | None] | None = None
-    start: float | None = None
-    at_bound: bool = False
-    identified: bool = True
-    held: bool = False
-    says: str = ""
-    profile: tuple[float | None, float | None] | None = None
-
-
-class HorizonRecord(Part):
-    """Errors of a channel over runs of one length, RMS, SI; None where none is finite:
-    of the declared and the final model, of the value held, and of an ARX model.
-    """
-
-    before: Size | None = None
-    after: Size | None = None
-    held: Size | None = None
-    arx: Size | None = None
-
-
-class ErrorsRecord(Part):
-    """Errors of a channel with the declared and the final model, and that of its value
-    held; RMS, SI.
-    """
-
-    before: Size | None = None
-    after: Size | None
-    held: Size | None = None
-
-
-class ChannelRecord(ErrorsRecord):
-    """The error of a channel; where there are test logs, that on the others besides."""
-
-    unit: Unit
-    noise: Size | None = None
-    skill: float | None = Field(default=None, le=1)
-    horizons: dict[str, HorizonRecord] = {}
-    validate_: ErrorsRecord | None = Field(default=None, alias="validate")
-
-
-class CandidateRecord(Part):
-    """What became of a candidate."""
-
-    name: Name
-    status: Literal["added", "absent", "cannot tell", "rejected"]
-    p_value: Share | None = None
-    power: Share | None = None
-    share: float | None = None
-    why: str = ""
-
-
-class EffectRecord(Part):
-    """An effect that was found; errors by channel, SI."""
-
-    name: Name
-    parameters: dict[Name, ParameterRecord]
-    p_value: Share | None = None
-    before: dict[str, Size | None] = {}
-    after: dict[str, Size | None] = {}
-    cannot_tell_from: list[str] = []
-    betrayed_by: str = ""
-    share: float | None = None
-
-
-class CurveRecord(Part):
-    """A curve that stands for what no known effect explains; SI. `y` and `std` (of the
-    curve as a whole) at the values `s` of `signal`, less what the rig's own parameters
-    can follow; `seen` the range that it rests on, `rug` samples there, `law` a formula
-    that does as well, with the values `law_y`; errors by channel on the validation
-    logs, and on the `test` logs, RMS; `share` of the squared error above the noise.
-    """
-
-    name: Name
-    place: Name
-    signal: Name
-    signal_unit: Unit
-    factor: str = ""
-    unit: Unit
-    s: list[float] = Field(max_length=COUNT)
-    y: list[float] = Field(max_length=COUNT)
-    std: list[Size] = Field(max_length=COUNT)
-    extrapolated: list[bool] = Field([], max_length=COUNT)
-    seen: tuple[float, float]
-    rug: list[float] = Field([], max_length=COUNT)
-    p_value: Share | None = None
-    before: dict[str, Size | None] = {}
-    after: dict[str, Size | None] = {}
-    share: Share | None = None
-    test: dict[str, ErrorsRecord] = {}
-    alike: list[str] = []
-    law: str = ""
-    law_y: list[float] | None = None
-
-
-class RestRecord(Part):
-    """What stays above the noise of a channel, and what it follows; SI."""
-
-    channel: Name
-    excess: Size | None
-    unit: Unit
-    follows: str = ""
-    says: str = ""
-
-
-class LoopRecord(Part):
-    """A measured loop run again: RMS of the differences of its forces."""
-
-    log: str
-    unit: Unit
-    rms: Size | None
-    tracking_measured: Size | None
-    tracking_simulated: Size | None
-    warning: str = ""
-
-
-class InputRecord(Part):
-    """An input that looks wrong."""
-
-    input: str
-    finding: str
-    factor: float | None = None
-    error: Size | None = None
-    error_if_mended: Size | None = None
-    unit: str = ""
-    says: str = ""
-
-
-class FileRecord(Part):
-    """A log: what it was for, its length in s, and its hash."""
-
-    name: str
-    use: Literal["fit", "validate", "test"]
-    rows: int = Field(ge=0)
-    seconds: Size | None = None
-    sha256: str = ""
-
-
-class MadeRecord(Part):
-    """What made a report, and when."""
-
-    version: str = ""
-    date: str = ""
-    command_line: str = ""
-
-
-class CovarianceRecord(Part):
-    """Covariance of the fitted parameters; SI."""
-
-    names: list[Name] = Field(max_length=COUNT)
-    matrix: list[list[float]]
-
-    @checked(mode="after")
-    def _is_one(self) -> CovarianceRecord:
-        count = len(self.names)
-        rows = [len(row) for row in self.matrix]
-        if len(set(self.names)) < count or rows != [count] * count:
-            raise ValueError("expected one row and one column for each name")
-        whole = np.array(self.matrix).reshape(count, count)
-        each = np.sqrt(np.abs(np.diag(whole)))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            related = np.nan_to_num(whole / np.outer(each, each))
-        if np.any(np.diag(whole) < 0) or not np.allclose(related, related.T, atol=1e-6):
-            raise ValueError("expected a symmetric matrix with variances of 0 or more")
-        if count and np.linalg.eigvalsh(related).min() < NOT_NEGATIVE * count:
-            raise ValueError("expected a matrix without negative eigenvalues")
-        return self
-
-
-class LogsRecord(Part):
-    """Names of the logs."""
-
-    fit: list[str] = []
-    validate_: list[str] = Field(default=[], alias="validate")
-    test: list[str] = []
 
 
 class Report(Part):
@@ -242,7 +45,8 @@ class Report(Part):
     )
     rig: str = Field("", description="name in the rig file")
     logs: LogsRecord = Field(
-        LogsRecord(), description="names of the files by what they were for"
+        LogsRecord(),
+        description="names of the files by what they were for",
     )
     verdict: Literal["", "nothing missing", "explained", "unknown"] = Field(
         "",

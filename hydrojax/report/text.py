@@ -122,9 +122,9 @@ def quantity_text(
     spread = std if known and std is not None else 0.0
     size = max(abs(value), spread)
     factor, name = engineering(size, unit)
-    power = 0
-    if size and not 1e-3 <= size / factor < 1e5:
-        power = math.floor(math.log10(size / factor))
+    power, shown = 0, float(f"{size / factor:.4g}")  # 0.00099999 is 0.001
+    if shown and not 1e-3 <= shown < 1e5:
+        power = math.floor(math.log10(shown))
         factor *= 10.0**power
     last = _last_figure(
         spread / factor if known else size / factor, 2 if known else figures

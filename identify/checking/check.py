@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -25,7 +26,7 @@ from hydrojax.logs.log import Log
 from hydrojax.report import markup
 from hydrojax.report.files import write_all
 from hydrojax.report.page import Picture, made_by, page
-from hydrojax.report.text import quantity_text
+from hydrojax.report.text import engineering, quantity_text, symbol
 from hydrojax.rigfile.schema import RigFile
 
 FORMAT = "hydrojax-check/1"
@@ -79,6 +80,41 @@ class Checked:
             "channels": _rows(self.channels),
         }
 
+    @property
+    def logs_shown(self) -> pd.DataFrame:
+        """The logs as people read them."""
+        rows = {
+            name: {
+                "length": quantity_text(row.seconds, "s"),
+                "rows": str(row.rows),
+                "rate": quantity_text(row.rate, "Hz"),
+                "jitter": _share(row.jitter),
+                "stretches": str(row.stretches),
+                "standstill": _share(row.standstill),
+            }
+            for name, row in _each(self.logs)
+        }
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("log")
+
+    @property
+    def channels_shown(self) -> pd.DataFrame:
+        """The channels as people read them; "held" is the longest run of one value."""
+        rows = {
+            name: {
+                **{
+                    n: quantity_text(getattr(row, n), row.unit, figures=3)
+                    for n in SIZES
+                },
+                "repeated": _share(row.repeated),
+                "at the ends": _share(row.at_ends),
+                "held": quantity_text(row.stuck, "s", figures=3),
+                "roll-off": f"{10 * row.roll_off:.1f} dB",
+                "below vacuum": _share(row.below_vacuum),
+            }
+            for name, row in _each(self.channels)
+        }
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
+
     def summary(self) -> str:
         """Findings and tables as text."""
         parts = [
@@ -88,9 +124,9 @@ class Checked:
             "",
             _text(self.inputs),
             "",
-            _text(self.logs),
+            _text(self.logs_shown),
             "",
-            _text(self.channels),
+            _text(self.channels_shown),
         ]
         return "\n".join(parts) + "\n"
 
@@ -145,8 +181,23 @@ def _rows(table: pd.DataFrame) -> dict[str, dict[str, Any]]:
     return {str(k): finite(row) for k, row in table.to_dict(orient="index").items()}
 
 
+SIZES = ("low", "high", "resolution", "noise")
+"""Columns of the channels that have the channel's unit."""
+
+
+def _each(table: pd.DataFrame) -> Iterator[tuple[str, Any]]:
+    """Rows by name, with their columns as attributes."""
+    rows = table.itertuples(index=False)
+    return zip(map(str, table.index), rows, strict=True)
+
+
+def _share(part: float) -> str:
+    """A part of a whole in per cent."""
+    return "< 0.01 %" if 0 < part < 1e-4 else f"{100 * part:.2g} %"
+
+
 def _text(table: pd.DataFrame) -> str:
-    return table.to_string(float_format=lambda v: f"{v:.4g}", na_rep="-")
+    return table.to_string(line_width=80)
 
 
 def check_inputs(spec: RigFile, logs: Sequence[Log]) -> Checked:
@@ -206,8 +257,12 @@ def _signals_figure(log: Log) -> Figure:
         axes = figure.subplots(len(log.signals), 1, sharex=True, squeeze=False)[:, 0]
         t = log.time - log.time[0]
         for ax, (name, y) in zip(axes, log.signals.items(), strict=True):
-            ax.plot(*condensed(t, y, t[-1] / PIXELS), color=AFTER, linewidth=0.6)
-            ax.set_ylabel(f"{name} / {log.units.get(name, '1')}")
-        axes[-1].set_xlabel("time / s")
+            factor, unit = engineering(
+                float(np.max(np.abs(y))), log.units.get(name, "1")
+            )
+            thin = condensed(t, y / factor, t[-1] / PIXELS)
+            ax.plot(*thin, color=AFTER, linewidth=0.6)
+            ax.set_ylabel(f"{symbol(name)} [{unit}]" if unit else symbol(name))
+        axes[-1].set_xlabel("time [s]")
         figure.align_ylabels(axes)
     return figure

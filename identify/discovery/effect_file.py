@@ -11,7 +11,7 @@ from jaxtyping import Float
 from hydrojax import units
 from hydrojax.identify.discovery.formula import Formula
 from hydrojax.identify.discovery.free_form import Term
-from hydrojax.identify.results.outcome import FoundCurve
+from hydrojax.identify.results.curve import FoundCurve
 
 BASES = {
     "command": "CommandChannel",

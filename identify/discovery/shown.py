@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +22,8 @@ from hydrojax.identify.discovery.search import (
 from hydrojax.identify.discovery.smooth import covariance
 from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.preparation.noise import CHANNELS
-from hydrojax.identify.results.outcome import Errors, FoundCurve, excess_of
+from hydrojax.identify.results.curve import FoundCurve
+from hydrojax.identify.results.outcome import excess_of
 from hydrojax.identify.tracing.screen import size_that_matters
 
 POINTS, RUG = 121, 400
@@ -42,7 +42,7 @@ def shown(
     for curve in at.curves:
         columns = at.columns[curve.laid.term.name]
         one = _shown(at, curve, columns, case, fit, check)
-        out.append(replace(one, test=tested))
+        out.append(replace(one, test_before=tested[0], test_after=tested[1]))
     return tuple(out)
 
 
@@ -106,17 +106,13 @@ def _untaken(name: str) -> str:
     return out
 
 
-def _tested(at: Search, start: Search, case: Case) -> Mapping[str, Errors]:
+def _tested(at: Search, start: Search, case: Case) -> tuple[dict[str, float], ...]:
     """Errors on the test logs without any curve and with all of them."""
     if case.test is None:
-        return {}
+        return {}, {}
     batch = batch_of(case.test)._replace(noise=at.state.noise)
     problem = replace(at.state.check, batch=batch, least=(0, 0, 0))
     problem = with_laid(problem, [c.laid.effect for c in at.curves])
     ends = (start.state.point.values, at.state.point.values)
-    before, after = (problem.rms(problem.errors_at(v)) for v in ends)
-    return {
-        CHANNELS[i]: Errors(float(before[i]), float(after[i]))
-        for i in range(3)
-        if np.isfinite(at.state.noise[i])
-    }
+    seen = [i for i in range(3) if np.isfinite(at.state.noise[i])]
+    return tuple(_by_channel(problem.rms(problem.errors_at(v)), seen) for v in ends)

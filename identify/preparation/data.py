@@ -218,12 +218,12 @@ def _band_note(band: float, driven_by: str) -> list[str]:
     """What is said of a band in which motion is differentiated; none without one."""
     if not np.isfinite(band):
         return []
-    what = {"u": "it is", "P": "speed, acceleration and force are"}.get(
+    what = {"u": "acceleration is", "P": "speed, acceleration and force are"}.get(
         driven_by, "speed and acceleration are"
     )
     return [
-        f"above {band:.0f} Hz acceleration would be noise of the position: {what} "
-        "taken below that"
+        f"{what} taken below {band:.0f} Hz: what lies above is mostly noise of the "
+        "position"
     ]
 
 

@@ -14,7 +14,8 @@ from hydrojax.identify.report.figures import ABOVE, AFTER, DASHES, sheet, styled
 from hydrojax.report.text import engineering, p_equation, symbol, words
 
 if TYPE_CHECKING:
-    from hydrojax.identify.results.outcome import FoundCurve, Outcome
+    from hydrojax.identify.results.curve import FoundCurve
+    from hydrojax.identify.results.outcome import Outcome
 
 WIDE = 1.96
 """Standard deviations of the band, on either side."""

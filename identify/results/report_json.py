@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.identify.results.outcome import (
     ChannelErrors,
-    FoundCurve,
     FoundEffect,
     LoopCheck,
     Outcome,

@@ -98,3 +98,17 @@ def test_every_argument_of_a_public_name_is_described():
 
 def test_the_schema_of_reports_is_one():
     jsonschema.Draft202012Validator.check_schema(report_schema())
+
+
+def test_every_key_of_a_report_has_a_meaning():
+    schema = report_schema()
+    shapes = {"report": schema, **schema["$defs"]}
+    dumb = [
+        f"{name}.{key}"
+        for name, shape in shapes.items()
+        for key, said in shape["properties"].items()
+        if not said.get("description")
+    ]
+    assert dumb == []
+    page = reference.pages()["report.md"]
+    assert "### channels.horizons" in page and "| `arx` | number or null | of a" in page

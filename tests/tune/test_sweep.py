@@ -459,7 +459,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     names = {p.name for p in out.glob("*.png")}
     assert names == {"map_within_1dB.png", "map_peak.png", "bode.png"}
     said = capsys.readouterr().out
-    assert "linear: widest within 1 dB" in said and "report.html" in said
+    assert "linear: widest band within 1 dB" in said and "report.html" in said
     page = (out / "report.html").read_text()
     assert said.splitlines()[0] in page and "hydrojax sweep " in page
     assert page.count("data:image/png") == 3 and "://" not in page

@@ -497,7 +497,8 @@ def test_outliers_drifts_and_failures_are_named(tmp_path):
         tmp_path, logs, warm=warm.tolist(), day=days, site=["a", "b", "c"] * 10
     )
     out = tmp_path / "out"
-    pretended(table, out, report=True)
+    line = "hydrojax batch jobs.csv --out out"
+    pretended(table, out, report=True, command_line=line)
     found = merged.Fleet(out / "fleet.parquet")
     apart = [o for o in summary.outliers(found) if o.what == "beta"]
     assert [o.job for o in apart] == ["row 8"]
@@ -514,9 +515,11 @@ def test_outliers_drifts_and_failures_are_named(tmp_path):
     page = (out / "fleet.html").read_text()
     assert "row 8" in page and "row 5" in page and "<b>no" not in page
     assert "stribeck" in page and "://" not in page
+    assert page.count(f"<code>{line}</code>") == 1
     (single,) = (out / "reports").glob("*.html")
     assert f'<a href="reports/{single.name}">row 5</a>' in page
     said = single.read_text()
+    assert f"<code>{line}</code>" in said
     assert "&lt;b&gt;no" in said and "<b>no" not in said
     assert "hydrojax trace rig.toml log_4.csv --validate" in said
     pictures = {p.name for p in out.glob("*.png")}

@@ -77,7 +77,7 @@ def _panel(ax: Axes, fleet: Fleet, parameter: str, at: pd.Series) -> None:
         )
         ax.set_xlim(-0.6, len(ticks) - 0.4)
     elif at.dtype.kind == "M":
-        locator = AutoDateLocator(maxticks=6)
+        locator = AutoDateLocator(minticks=2, maxticks=6)
         ax.xaxis.set_major_locator(locator)
         ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
 
@@ -110,9 +110,9 @@ def _fits(
 ) -> None:
     """Each fit with its interval, or what a crowd of them does; outliers in colour."""
     far = np.abs(robust_z(y, std)) > (FAR if len(y) >= FEW else np.inf)
+    fine = np.isfinite(ends).all(axis=1, keepdims=True)
+    wide = np.where(fine, np.abs(ends - y[:, None]), 0.0)
     if len(y) <= CROWD:
-        fine = np.isfinite(ends).all(axis=1, keepdims=True)
-        wide = np.where(fine, np.abs(ends - y[:, None]), 0.0)
         for mask, colour in ((~far, AFTER), (far, ABOVE)):
             ax.errorbar(
                 x[mask], y[mask], yerr=wide[mask].T, fmt="o", ms=2.6, lw=0.7,
@@ -126,8 +126,9 @@ def _fits(
     span = np.max(
         np.abs(ends[~far] - middle), initial=half, where=np.isfinite(ends[~far])
     )
-    if len(y) <= CROWD and span < 4 * half:
-        half = 1.08 * max(half, span)
+    if len(y) <= CROWD:
+        half = max(half, 1.08 * float(np.median(wide)))  # a usual interval is whole
+        half = 1.08 * max(half, span) if span < 4 * half else half
     _clip(ax, y, float((near.max() + near.min()) / 2), half)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -96,7 +96,13 @@ def _named(rows: Any, column: str, keys: Sequence[str]) -> list[Named]:
     return [Named(job, why, keys[int(i)]) for i, job, why in at]
 
 
-def job_pages(store: Store, named: Sequence[Named], title: str) -> dict[str, str]:
+def job_pages(
+    store: Store,
+    named: Sequence[Named],
+    title: str,
+    command: str,
+    made: Mapping[str, str],
+) -> dict[str, str]:
     """A page for each job that needs a look, by the name of its file.
 
     It has what the store keeps of the job, and the command for its full report.
@@ -109,14 +115,14 @@ def job_pages(store: Store, named: Sequence[Named], title: str) -> dict[str, str
     for job, why, key in named:
         own = rows.loc[job].fillna("")
         fit, checks = (str(own[n]).split(";") if own[n] else [] for n in OWN_LOGS)
-        call = ["trace" if checks else "identify", str(own["rig"]), *fit]
+        call = [command, str(own["rig"]), *fit]
         call += ["--validate", *checks] if checks else []
         line = shlex.join(["hydrojax", *call, "--out", "report"])
         out[f"{key}.html"] = page(
             Path(__file__).parent / "job.html",
             (quantity_text, words),
             job=job, why=why, title=title, command=line, rig=own["rig"], fit=fit,
-            validate=checks, record=NOTHING | (store.load(key) or {}),
+            validate=checks, made=made, record=NOTHING | (store.load(key) or {}),
         )  # fmt: skip
     return out
 
@@ -202,7 +208,9 @@ def draw_fleet(store: Store, seen: Contents) -> list[Picture]:
     return out
 
 
-def fleet_page(seen: Contents, shown: Sequence[Picture], title: str) -> str:
+def fleet_page(
+    seen: Contents, shown: Sequence[Picture], title: str, made: Mapping[str, str]
+) -> str:
     """fleet.html, with its pictures inside."""
     lines = controller_lines(seen.bounds) if seen.bounds else []
     return page(
@@ -215,26 +223,35 @@ def fleet_page(seen: Contents, shown: Sequence[Picture], title: str) -> str:
         far=FAR,
         listed=LISTED,
         reports=REPORTS,
-        made=made_by(""),
+        made=made,
     )
 
 
-def write_fleet_report(store: Store, keys: Sequence[str], title: str) -> Contents:
+def write_fleet_report(
+    store: Store,
+    keys: Sequence[str],
+    title: str,
+    command: str = "trace",
+    command_line: str = "",
+) -> Contents:
     """Write fleet.html and its pictures beside the table.
 
     Args:
         store: where the table and the results are.
         keys: of the jobs, in order.
         title: what the fleet is called.
+        command: identify or trace, as every job was done.
+        command_line: by which the results came about.
     """
     seen = look(store, keys)
     shown = draw_fleet(store, seen)
-    single = job_pages(store, [*seen.failures, *seen.unknown], title)
+    made = made_by(command_line)
+    single = job_pages(store, [*seen.failures, *seen.unknown], title, command, made)
     folder = store.folder / REPORTS
     old = [p.name for p in folder.glob("*.html")]
     if single or old:
         write_all(folder, {n: text.encode() for n, text in single.items()}, old)
     files = {f"{p.name}.png": p.png for p in shown}
-    files["fleet.html"] = fleet_page(seen, shown, title).encode()
+    files["fleet.html"] = fleet_page(seen, shown, title, made).encode()
     write_all(store.folder, files, [p.name for p in store.folder.glob("fleet_*.png")])
     return seen

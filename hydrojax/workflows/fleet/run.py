@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pyarrow as pa
@@ -60,6 +61,7 @@ def run_fleet(
     progress: Progress | None = None,
     solver: str = SOLVER,
     report: bool = True,
+    command_line: str = "",
     limits: local.JobLimits = local.JobLimits(),
 ) -> Ran:
     """Do what is left of a table of jobs, and write its one table of results.
@@ -75,6 +77,7 @@ def run_fleet(
         progress: called with the jobs done and their total number.
         solver: what does a job; see `work.SOLVER`.
         report: whether fleet.html and its pictures are made too.
+        command_line: what was given, for fleet.html.
         limits: what one job may take of time and memory, where workers are processes of
             this machine's own.
 
@@ -89,6 +92,9 @@ def run_fleet(
     keys = keys_of(jobs, options)
     mark = _mark(jobs, keys)
     store.clear()
+    draw = None
+    if report:
+        draw = partial(_draw, store, keys, jobs, options.command, command_line)
     done, unread = 0, []
     for _ in range(2):  # again where results could not be read
         left = set(keys) - store.done()
@@ -102,7 +108,7 @@ def run_fleet(
             failures = _failures(out)
             if failures is not None:
                 return Ran(len(jobs), done, failures, False)
-        unread, failed = _merge(store, jobs, keys, mark, report)
+        unread, failed = _merge(store, jobs, keys, mark, draw)
         if not unread:
             return Ran(len(jobs), done, failed, True)
         for key in unread:  # a power cut can leave a file empty
@@ -114,19 +120,29 @@ def run_fleet(
 
 
 def _merge(
-    store: Store, jobs: Jobs, keys: list[str], mark: str, report: bool
+    store: Store,
+    jobs: Jobs,
+    keys: list[str],
+    mark: str,
+    draw: Callable[[], None] | None,
 ) -> tuple[list[str], int]:
     """Write the table and its report; keys that cannot be read, and how many failed."""
     (store.folder / "fleet.html").unlink(missing_ok=True)  # of another table
     # A table with jobs that will be tried again is not the last: it has no mark.
     last = set(keys) <= store.done()
     unread, failed = merge(store, jobs, keys, mark if last else "")
-    if report and not unread:
-        # It draws, so it is imported only where it is wanted.
-        from hydrojax.workflows.fleet.report import write_fleet_report
-
-        write_fleet_report(store, keys, jobs.source.name)
+    if draw and not unread:
+        draw()
     return unread, failed
+
+
+def _draw(
+    store: Store, keys: list[str], jobs: Jobs, command: str, command_line: str
+) -> None:
+    # It takes its time to import, so it is only where it is wanted.
+    from hydrojax.workflows.fleet.report import write_fleet_report
+
+    write_fleet_report(store, keys, jobs.source.name, command, command_line)
 
 
 def _tasks(
