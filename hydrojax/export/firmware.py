@@ -12,7 +12,7 @@ from hydrojax import __version__
 from hydrojax.export.codegen.emit import literal
 from hydrojax.export.codegen.machine import Code, Field, Machine, code_of
 from hydrojax.export.machines import law_machine, plant_machine
-from hydrojax.export.model import SteppedRig
+from hydrojax.export.model import driven_rig
 from hydrojax.export.template import fill
 from hydrojax.export.tree import defaults_taken, rig_tree
 from hydrojax.rigfile.controller import LAWS, kind_of
@@ -40,7 +40,8 @@ def firmware_of(spec: RigFile) -> dict[str, str]:
         InputError: an invalid entry in [controller], or an effect or a controller with
             an operation that has no form in C.
     """
-    files = text_of("plant", "The plant", PLANT, spec, plant_machine(SteppedRig(spec)))
+    plant = plant_machine(driven_rig(spec))
+    files = text_of("plant", "The plant", PLANT, spec, plant)
     if spec.layout.has_valve:
         files |= text_of("law", "The controller", LAW, spec, law_machine(spec))
     return files
@@ -50,12 +51,18 @@ def text_of(
     name: str, title: str, about: str, spec: RigFile, machine: Machine
 ) -> dict[str, str]:
     """A machine's header and source, by file name."""
-    code = code_of(machine)
+    return text_of_code(name, title, about, spec.name, code_of(machine))
+
+
+def text_of_code(
+    name: str, title: str, about: str, rig: str, code: Code
+) -> dict[str, str]:
+    """The header and source of what `code_of` made, by file name."""
     known = {
         "name": name,
         "title": title,
         "about": about.splitlines(),
-        "rig": spec.name,
+        "rig": rig,
         "version": __version__,
         "code": code,
         "structs": _structs(code),

@@ -35,7 +35,7 @@ FORMATS: Mapping[str, Callable[[RigFile], Files]] = {
     "json": lambda spec: _text("rig.json", json_of(spec)),
     "mat": lambda spec: {"rig.mat": mat_of(spec)},
     "modelica": lambda spec: _text(f"{identifier(spec.name)}.mo", modelica_of(spec)),
-    "fmu": lambda spec: {f"{identifier(spec.name)}.fmu": fmu_of(spec)},
+    "fmu": fmu_of,
     "c": lambda spec: {n: t.encode() for n, t in firmware_of(spec).items()},
 }
 """What a rig can be written as: the files, by name."""
@@ -76,4 +76,7 @@ def _notes(spec: RigFile, formats: Iterable[str]) -> Iterable[str]:
                 "defaults, which law.c shows"
             )
     if "fmu" in formats:
-        yield "fmu: the Python that runs it must have hydrojax installed"
+        yield (
+            "fmu: .fmu is FMI 2.0, _fmi3.fmu is FMI 3.0; the binary is for this kind "
+            "of machine, the sources for any"
+        )

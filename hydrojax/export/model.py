@@ -1,4 +1,4 @@
-"""A rig that another program drives: its variables by name, and where it stands.
+"""A rig that another program drives: its variables by name.
 
 What an FMU says of itself comes from here; no word of the FMI is in it.
 """
@@ -6,16 +6,12 @@ What an FMU says of itself comes from here; no word of the FMI is in it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
-
-import jax.numpy as jnp
-import numpy as np
+from dataclasses import dataclass
 
 from hydrojax import units
-from hydrojax.errors import InputError
-from hydrojax.export.stepping import SAME, Drive, advance, begin, has_queue, ticks_of
-from hydrojax.export.tree import identifier, meaning, plant
-from hydrojax.parameters import get, parameter_specs, put
+from hydrojax.export.stepping import has_queue
+from hydrojax.export.tree import meaning, plant
+from hydrojax.parameters import parameter_specs
 from hydrojax.plant.layout import Layout
 from hydrojax.plant.places import hydraulic_names
 from hydrojax.plant.rig import Rig
@@ -57,80 +53,57 @@ def variables_without(layout: Layout) -> frozenset[str]:
     return frozenset(line).union(absent, (f"{p}_start" for p in absent))
 
 
-class SteppedRig:
-    """A rig and where it stands.
+@dataclass(frozen=True)
+class DrivenRig:
+    """A rig as another program sees it.
 
-    `inputs`, `parameters`, `starts` and `outputs` say which variables there are;
-    `drive`, `values`, `rest` and `read` hold their values by name.
+    Attributes:
+        spec: the rig file.
+        rig: the plant with its effects.
+        period: the longest tick, s.
+        counts_ticks: whether something in it remembers so many ticks, not so much time.
+        inputs, outputs, starts, parameters: its variables.
+        held: what the inputs are where nothing is set.
+        rest: what the starts are.
     """
 
-    def __init__(self, spec: RigFile) -> None:
-        """From a rig file, as `RigFile.load` read it.
+    spec: RigFile
+    rig: Rig
+    period: float
+    counts_ticks: bool
+    inputs: Names
+    outputs: Names
+    starts: Names
+    parameters: Names
+    held: Mapping[str, float]
+    rest: Mapping[str, float]
 
-        Raises:
-            InputError: the rig cannot be run, in one line.
-        """
-        self.spec, self.identifier = spec, identifier(spec.name)
-        self.valve = spec.layout.has_valve
-        self.rig, self.period, P_a1 = _at_rest(spec)
-        self.queue = has_queue(self.rig)
+    @property
+    def has_valve(self) -> bool:
+        """Whether a valve drives it; else the drive force `P` does."""
+        return self.spec.layout.has_valve
 
-        known = _parameters(self.rig, spec)
-        self.inputs, self.outputs = _shown(INPUTS, spec), _shown(OUTPUTS, spec)
-        self.starts, self.parameters = _shown(STARTS, spec), _shown(known, spec)
-        self.drive = dict.fromkeys(INPUTS, 0.0) | spec.line
-        numbers = np.asarray(get(self.rig, list(known))).tolist()
-        self.values = dict(zip(known, numbers, strict=True))
-        P_a2 = P_a1 * float(self.rig.force_area_1 / self.rig.force_area_2)
-        self.rest = {"P_a1_start": P_a1, "P_a2_start": max(P_a2, spec.line["P_r"])}
-        self.read = dict.fromkeys(OUTPUTS, 0.0)
-        self._applied = dict(self.values)
-        self._state: Any = None
-        self._h: float | None = None
 
-    def begin(self) -> None:
-        """At rest where the piston is; the sensors read what is there."""
-        self._apply()
-        P_a1, P_a2 = self.rest.values()
-        pressures = (P_a1, P_a2) if self.valve else (0.0, self.drive["P"])
-        self._state, read = begin(self.rig, self._drive(), *pressures)
-        self._keep(read)
-        self._h = None
+def driven_rig(spec: RigFile) -> DrivenRig:
+    """What another program drives.
 
-    def step(self, t: float, length: float) -> None:
-        """One communication step of `length` seconds from time `t`.
-
-        Raises:
-            InputError: ticks of another length than before, and the rig counts them.
-        """
-        self._apply()
-        count, h = ticks_of(length, self.period)
-        if self.queue and self._h and abs(h / self._h - 1) > SAME:
-            raise InputError(
-                f"{self.spec.name}: a step of {length:g} s makes ticks of {h:g} s, and "
-                f"the rig's delay counts in ticks of {self._h:g} s; keep to steps of "
-                "one length"
-            )
-        self._h = h
-        drive = self._drive()
-        self._state, read = advance(self.rig, self._state, drive, t, h, count)
-        self._keep(read)
-
-    def _drive(self) -> Drive:
-        given = {name: jnp.asarray(self.drive[name], float) for name in Drive._fields}
-        drive = Drive(**given)
-        return drive._replace(P=None) if self.valve else drive
-
-    def _apply(self) -> None:
-        """Put into the rig what was set since."""
-        if self.values != self._applied:
-            self.rig = put(
-                self.rig, tuple(self.values), np.array(list(self.values.values()))
-            )
-            self._applied = dict(self.values)
-
-    def _keep(self, read: dict[str, Any]) -> None:
-        self.read.update({name: float(read[name]) for name in self.read})
+    Raises:
+        InputError: the rig cannot be run, in one line.
+    """
+    rig, period, P_a1 = _at_rest(spec)
+    P_a2 = P_a1 * float(rig.force_area_1 / rig.force_area_2)
+    return DrivenRig(
+        spec=spec,
+        rig=rig,
+        period=period,
+        counts_ticks=has_queue(rig),
+        inputs=_shown(INPUTS, spec),
+        outputs=_shown(OUTPUTS, spec),
+        starts=_shown(STARTS, spec),
+        parameters=_shown(_parameters(rig, spec), spec),
+        held=dict.fromkeys(INPUTS, 0.0) | spec.line,
+        rest={"P_a1_start": P_a1, "P_a2_start": max(P_a2, spec.line["P_r"])},
+    )
 
 
 def _shown(names: Names, spec: RigFile) -> Names:

@@ -7,21 +7,14 @@ motion over a step is what is known at its start: constant acceleration from the
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from hydrojax.control.simulation import PARTS
 from hydrojax.plant.rig import Rig
-from hydrojax.plant.state import State, StepInput
-from hydrojax.plant.step import Signals, start, step
-
-SAME = 1e-6
-"""Relative difference up to which two lengths of a step are the same."""
+from hydrojax.plant.state import StepInput
 
 
 class Drive(NamedTuple):
@@ -46,15 +39,6 @@ def has_queue(rig: Rig) -> bool:
     return any(c.counts_ticks for c in (*rig.command, *rig.sensor_P, *rig.sensor_F))
 
 
-def ticks_of(step: float, period: float) -> tuple[int, float]:
-    """How many equal ticks a step (s) is cut into, none longer than `period`, and h."""
-    whole = round(step / period)
-    if whole and abs(step / period - whole) < SAME:
-        return whole, period
-    count = int(np.ceil(step / period))
-    return count, step / count
-
-
 def inputs_from(
     drive: Drive, t: Float[Array, ""], since: Float[Array, ""], h: Float[Array, ""]
 ) -> StepInput:
@@ -77,36 +61,3 @@ def inputs_from(
         t=t + h,
         P=drive.P,
     )
-
-
-def _arrays(drive: Drive) -> Drive:
-    return jax.tree.map(lambda d: jnp.asarray(d, float), drive)
-
-
-@jax.jit
-def begin(
-    rig: Rig, drive: Drive, P_a1: ArrayLike, P_a2: ArrayLike
-) -> tuple[State, Signals]:
-    """At rest where `drive` begins: the state, and what the sensors read."""
-    P = (jnp.asarray(P_a1, float), jnp.asarray(P_a2, float))
-    zero = jnp.zeros_like(P[0])
-    return start(rig, inputs_from(_arrays(drive), zero, zero, zero), P)
-
-
-@partial(jax.jit, static_argnames=("count",))
-def advance(
-    rig: Rig,
-    state: State,
-    drive: Drive,
-    t: ArrayLike,
-    h: ArrayLike,
-    count: int,
-) -> tuple[State, Signals]:
-    """`count` ticks of length `h` from time `t`: the state, and the last readings."""
-    drive, t, h = _arrays(drive), jnp.asarray(t, float), jnp.asarray(h, float)
-
-    def body(state: State, i: Array) -> tuple[State, Signals]:
-        return step(rig, state, inputs_from(drive, t + i * h, i * h, h))
-
-    state, read = jax.lax.scan(body, state, jnp.arange(count, dtype=float))
-    return state, {name: values[-1] for name, values in read.items()}

@@ -16,7 +16,7 @@ from hydrojax.errors import InputError
 from hydrojax.export.codegen.machine import Machine
 from hydrojax.export.firmware import text_of
 from hydrojax.export.machines import plant_machine
-from hydrojax.export.model import SteppedRig
+from hydrojax.export.model import driven_rig
 from hydrojax.parameters import parameter_specs
 from hydrojax.rigfile.schema import RigFile
 from tests.export.c_code import Native, compiler
@@ -115,7 +115,7 @@ CASES = [(), *((name,) for name in EFFECTS), tuple(EFFECTS)]
 @pytest.fixture(scope="module")
 def every(spec, tmp_path_factory):
     """A rig with the whole catalogue, as C and run by JAX, an effect to a case."""
-    full = SteppedRig(replace(spec, effects={name: {} for name in EFFECTS}))
+    full = driven_rig(replace(spec, effects={name: {} for name in EFFECTS}))
     machine = plant_machine(full)
     files = text_of("plant", "The plant", "", full.spec, machine)
     native = Native("plant", files, tmp_path_factory.mktemp("every"))
@@ -281,7 +281,7 @@ LAYOUTS = {
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_every_layout_in_c(layout, tmp_path):
     (tmp_path / "rig.toml").write_text(LAYOUTS[layout])
-    model = SteppedRig(RigFile.load(tmp_path / "rig.toml"))
+    model = driven_rig(RigFile.load(tmp_path / "rig.toml"))
     machine = plant_machine(model)
     files = text_of("plant", "The plant", "", model.spec, machine)
     native = Native("plant", files, tmp_path)
@@ -307,7 +307,7 @@ def _acting(machine, native):
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_alone_in_c(spec, name, tmp_path):
     """The structure of a rig with this effect only."""
-    model = SteppedRig(replace(spec, effects={name: {}}))
+    model = driven_rig(replace(spec, effects={name: {}}))
     machine = plant_machine(model)
     files = text_of("plant", "The plant", "", model.spec, machine)
     native = Native("plant", files, tmp_path)

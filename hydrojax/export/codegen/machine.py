@@ -11,9 +11,12 @@ import jax
 import numpy as np
 
 from hydrojax import parameters, units
+from hydrojax.export.codegen.elementwise import kind_of
 from hydrojax.export.codegen.emit import Block, helpers
 from hydrojax.export.codegen.graph import PARAMETER, TICK, Graph
-from hydrojax.export.codegen.scalarise import Ids, kind_of, scalarise
+from hydrojax.export.codegen.indexing import Ids
+from hydrojax.export.codegen.scalarise import scalarise
+from hydrojax.export.tree import meaning
 
 Numbers = dict[str, Any]
 """Arrays by name."""
@@ -119,19 +122,13 @@ def numbers_of(
         order.append(name)
         if name in specs:
             unit = units.with_command(specs[name].unit, command_unit)
-            says[name] = f"{unit}, {_meaning(specs[name])}"
+            says[name] = f"{unit}, {meaning(specs[name])}"
 
     def build(values: Numbers) -> Any:
         made = jax.tree.unflatten(tree, [values[name] for name in order])
         return eqx.combine(made, rest)
 
     return values, says, build
-
-
-def _meaning(spec: parameters.Spec) -> str:
-    if spec.outside is None:
-        return spec.description
-    return f"1/{spec.outside[0]}; {spec.outside[0]}: {spec.description}"
 
 
 def _step(key: Any) -> str:
