@@ -269,8 +269,8 @@ def _prepared(
         notes = (
             *notes,
             "friction as logged drives the motion: the position runs against the "
-            "rig's sign (P pushes toward positive v), so it was turned round; say so "
-            "in the rig file with invert = true under [channels]",
+            "rig's sign (P pushes toward positive v), so it was inverted; write "
+            "invert = true under [channels] of the rig file",
         )
     check = ready(others, fit.noise, sign) if others else fit
     said = (*notes, *fit.notes, *check.notes)

@@ -42,6 +42,15 @@ def options(
     """Options of every command."""
 
 
+ORDER = (
+    "demo", "init", "check", "identify", "trace", "compare", "simulate", "excite",
+    "bounds", "sweep", "tune", "batch", "export", "paper",
+)  # fmt: skip
+"""Commands as help lists them: in the order in which they are needed."""
+app.registered_commands.sort(
+    key=lambda c: ORDER.index(getattr(c.callback, "__name__", ""))
+)
+
 SEVERAL = (
     "--validate", "--test", "--gains", "--separate", "--over", "--by", "--at", "--free",
     "--controller", "--to", "--column", "--fail-on",

@@ -29,9 +29,9 @@ from hydrojax.jax_setup import set_up_jax, user_cache
 Jobs = Annotated[
     Path,
     typer.Argument(
-        help="Table (CSV, Parquet) with columns rig, fit, validate (logs, ; "
-        "between them), if you like job, and labels; or a folder of folders with "
-        "rig.toml, fit*, validate*.",
+        help="Table (CSV, Parquet) with columns rig, fit and validate (several logs "
+        "are separated by ;), optionally job, and any labels; or a folder of folders, "
+        "each with rig.toml, fit*, validate*.",
         show_default=False,
     ),
 ]
@@ -72,10 +72,10 @@ def batch(
     job_memory: JobMemory = 8.0,
     effects: Effects = None,
 ) -> None:
-    """Identify or trace a fleet of logs; one table and one report over all of them.
+    """Identify or trace a fleet of logs: one table, one report.
 
-    Run again, a fleet that was stopped goes on where it was, and one that is done does
-    nothing. A bad log fails on its own; the rest continue.
+    Given again, the same command continues a fleet that was stopped, and does nothing
+    where all is done. A bad log fails on its own; the rest continue.
     """
     check_out(context, out)
     if command not in ("identify", "trace"):

@@ -18,15 +18,13 @@ def compare(
     context: typer.Context,
     a: Annotated[
         Path,
-        typer.Argument(help="Folder of identify or trace.", show_default=False),
+        typer.Argument(help="Folder written by identify or trace.", show_default=False),
     ],
     b: Annotated[Path, typer.Argument(help="Another such folder.", show_default=False)],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for a page, compare.html.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for compare.html.")] = None,
     json: Json = False,
 ) -> None:
-    """Set two reports side by side: verdicts, errors, effects, parameters."""
+    """Compare two reports: verdicts, errors, effects, parameters."""
     if out is not None:
         check_out(context, out)
     from hydrojax.report.compare import Comparison

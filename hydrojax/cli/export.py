@@ -38,7 +38,7 @@ def export(
     ),
     effects: Effects = None,
 ) -> None:
-    """Write a rig for MATLAB, Modelica, an FMI master or your own firmware."""
+    """Write a rig for MATLAB, Modelica, FMI or your own firmware."""
     check_out(context, out)
     set_up_jax(user_cache())
     load_effects(effects)

@@ -43,8 +43,8 @@ Validate = typer.Option(
     help="Logs that take no part in the fit: all words that follow."
 )
 Test = typer.Option(
-    help="Logs that take part in no decision: all words that follow. Errors before and "
-    "after are then theirs.",
+    help="Logs that take part in no decision: all words that follow. The errors "
+    "reported are then those on them.",
 )
 
 
@@ -61,13 +61,17 @@ def check(
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="Folder for a page and a table.")
+        Path | None, typer.Option(help="Folder for check.html and check.json.")
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
     effects: Effects = None,
 ) -> None:
-    """Say what the logs hold, and which inputs look wrong: signs, units, factors."""
+    """Report what the logs contain, and which inputs look wrong.
+
+    Wrong signs, exchanged channels, units, areas and stated noise are found in seconds,
+    before any fit.
+    """
     if out is not None:
         check_out(context, out)
     set_up_jax(user_cache())
@@ -96,14 +100,16 @@ def identify(
     test: Annotated[list[Path] | None, Test] = None,
     out: Out = Path("hydrojax-identify"),
     horizon: Horizon = 0.25,
-    starts: Annotated[int, typer.Option(help="Number of starts.", min=1)] = 4,
+    starts: Annotated[
+        int, typer.Option(help="Number of starts of the fit.", min=1)
+    ] = 4,
     profile: Profile = False,
     effects: Effects = None,
     json: Json = False,
     quiet: Quiet = False,
     fail_on: FailOn = None,
 ) -> None:
-    """Fit the declared model to logs; report errors and parameter uncertainties."""
+    """Fit the declared model to logs; report errors, uncertainties."""
     failing = check_verdicts(fail_on)
     check_report(context, out)
     set_up_jax(user_cache())
@@ -127,7 +133,9 @@ def trace(
     test: Annotated[list[Path] | None, Test] = None,
     out: Out = Path("hydrojax-trace"),
     horizon: Horizon = 0.25,
-    starts: Annotated[int, typer.Option(help="Number of starts.", min=1)] = 1,
+    starts: Annotated[
+        int, typer.Option(help="Number of starts of the fit.", min=1)
+    ] = 1,
     matters: Matters = 0.02,
     level: Level = 0.01,
     profile: Profile = False,
@@ -136,7 +144,7 @@ def trace(
     quiet: Quiet = False,
     fail_on: FailOn = None,
 ) -> None:
-    """Close the loop: fit, residual, the effect behind it, refit, before and after."""
+    """Fit, find the effects that the model lacks, and refit."""
     failing = check_verdicts(fail_on)
     check_report(context, out)
     set_up_jax(user_cache())

@@ -28,26 +28,26 @@ def _schema(wanted: bool) -> None:
         raise typer.Exit
 
 
-Bore = Annotated[str, typer.Option(help="Diameter of the piston: 40 mm.")]
+Bore = Annotated[str, typer.Option(help="Diameter of the piston, as 40 mm.")]
 Rod = Annotated[
     str,
-    typer.Option(help="Diameter of the rod: 25 mm; 0 mm where the areas are equal."),
+    typer.Option(help="Diameter of the rod, as 25 mm; 0 mm where the areas are equal."),
 ]
-Stroke = Annotated[str, typer.Option(help="Between the stops: 300 mm.")]
+Stroke = Annotated[str, typer.Option(help="Travel between the stops, as 300 mm.")]
 Radius = Annotated[
-    str, typer.Option(help="Lever arm, where the log has an angle: 85 mm.")
+    str, typer.Option(help="Lever arm, where the log has an angle, as 85 mm.")
 ]
 RatedFlow = Annotated[
     str,
     typer.Option(
-        help="Of the open valve, at 35 bar over each edge: 40 L/min.",
+        help="Flow of the open valve at 35 bar over each edge, as 40 L/min.",
         show_default="estimated from the log",
     ),
 ]
 Supply = Annotated[
     str,
     typer.Option(
-        help="Supply pressure, where the log has none: 140 bar.",
+        help="Supply pressure, where the log has none.",
         show_default="140 bar",
     ),
 ]
@@ -79,7 +79,7 @@ def init(
     layout: Layout = "",
     column: Columns = None,
     name: Annotated[
-        str, typer.Option(help="Of the rig.", show_default="the log's")
+        str, typer.Option(help="Name of the rig.", show_default="the log's")
     ] = "",
     schema: Annotated[
         bool,
@@ -91,10 +91,11 @@ def init(
         ),
     ] = False,
 ) -> None:
-    """Draft a commented rig file from logs: hydrojax init LOG... > rig.toml.
+    """Draft a commented rig file from logs.
 
-    Columns, units and signs are guessed, and marked CHECK where they are not certain.
-    At a terminal, sizes that are not given are asked for.
+    It is printed: hydrojax init LOG... > rig.toml. Columns, units and signs are
+    guessed, and marked CHECK where they are not certain. At a terminal, sizes that are
+    not given are asked for.
     """
     from hydrojax.cli.words import read_columns
     from hydrojax.rigfile.draft import sizes as known

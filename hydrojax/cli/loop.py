@@ -43,8 +43,8 @@ def simulate(
     motion: Annotated[
         str,
         typer.Option(
-            help="Of the piston, or of what its load hangs on: wander:25 mm/s, "
-            "to-and-fro:3 cm/s,3 s, locked, or a log."
+            help="Motion of the piston, or of what its load is attached to: "
+            "wander:25 mm/s, to-and-fro:3 cm/s,3 s, locked, or a log."
         ),
     ] = "wander",
     seconds: Annotated[float, typer.Option(help="Length of the run, s.")] = 12.0,
@@ -52,11 +52,11 @@ def simulate(
         int, typer.Option(help="Seed of noise and random motion.", min=0)
     ] = 0,
     out: Annotated[
-        Path, typer.Option(help="The log: CSV(.gz), Parquet or MAT.")
+        Path, typer.Option(help="File for the log: CSV(.gz), Parquet or MAT.")
     ] = Path("hydrojax-simulate.csv"),
     effects: Effects = None,
 ) -> None:
-    """Run a rig in closed loop; write the log that it would have given."""
+    """Run a rig in closed loop, and write the log."""
     check_file(context, out)
     set_up_jax(user_cache(), LOOPS)
     load_effects(effects)
@@ -102,13 +102,18 @@ def excite(
     travel: Annotated[
         str, typer.Option(help="Largest distance from mid-stroke.")
     ] = "20 mm",
-    seconds: Annotated[float, typer.Option(help="Length.", min=1.0, max=60.0)] = 8.0,
+    seconds: Annotated[
+        float, typer.Option(help="Length of the run, s.", min=1.0, max=60.0)
+    ] = 8.0,
     out: Annotated[
-        Path, typer.Option(help="The reference and motion: CSV(.gz), Parquet or MAT.")
+        Path,
+        typer.Option(
+            help="File for the reference and motion: CSV(.gz), Parquet or MAT."
+        ),
     ] = Path("hydrojax-excite.csv"),
     effects: Effects = None,
 ) -> None:
-    """Design the reference and motion that best identify what is not identified."""
+    """Design the run that best identifies what is not identified."""
     check_file(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
@@ -160,19 +165,23 @@ def bounds(
     logs: Logs,
     validate: Annotated[
         list[Path] | None,
-        typer.Option(help="Logs whose plants take no part: all words that follow."),
+        typer.Option(
+            help="Logs kept out of the fits, to judge by: all words that follow."
+        ),
     ] = None,
     out: Out = Path("hydrojax-bounds"),
     confidence: Annotated[
         float,
         typer.Option(
-            help="Confidence that the box holds the next fit.", min=0.5, max=0.999
+            help="Confidence that the box contains the next fit.", min=0.5, max=0.999
         ),
     ] = 0.95,
-    stretch: Annotated[float, typer.Option(help="Length of a fit, s.", min=0.5)] = 2.0,
+    stretch: Annotated[
+        float, typer.Option(help="Length of log that each fit takes, s.", min=0.5)
+    ] = 2.0,
     effects: Effects = None,
 ) -> None:
-    """Find the adaptive law's friction bounds from many fits, and refine them."""
+    """Find friction bounds for the adaptive law from many fits."""
     check_report(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
@@ -211,7 +220,7 @@ def bounds(
 
 @app.command()
 def paper(context: typer.Context, out: Out = Path("hydrojax-paper")) -> None:
-    """Repeat the paper's experiments on the reference rig: Figs. 2 to 5."""
+    """Repeat the paper's experiments, figures 2 to 5."""
     check_out(context, out)
     set_up_jax(user_cache(), LOOPS)
     import json

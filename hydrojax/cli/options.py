@@ -37,7 +37,9 @@ Logs = Annotated[
         show_default=False,
     ),
 ]
-Horizon = Annotated[float, typer.Option(help="Length of a replay window, s.", min=0.01)]
+Horizon = Annotated[
+    float, typer.Option(help="Length of the replay windows, s.", min=0.01)
+]
 Out = Annotated[Path, typer.Option(help="Folder for the report and its figures.")]
 Effects = Annotated[
     list[Path] | None,
@@ -51,8 +53,8 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but er
 FailOn = Annotated[
     list[str] | None,
     typer.Option(
-        help="Exit with 1 on these verdicts: unknown, explained, 'nothing missing'; "
-        "all words that follow.",
+        help="Exit with status 1 on these verdicts: unknown, explained, 'nothing "
+        "missing'; all words that follow.",
         show_default=False,
     ),
 ]
@@ -60,7 +62,7 @@ FailOn = Annotated[
 Gains = Annotated[
     list[str] | None,
     typer.Option(
-        help="Keys of [controller] to replace, as k_p=1.5 or 'A_a=6 V*s,15 V*s': "
+        help="Values to replace in [controller], as k_p=1.5 or 'A_a=6 V*s,15 V*s': "
         "all words that follow.",
         show_default=False,
     ),
@@ -77,22 +79,26 @@ At = Annotated[
 Cluster = Annotated[
     str,
     typer.Option(
-        help="Address of a dask scheduler, or local:N, whose workers do it.",
+        help="Address of a dask scheduler whose workers do the work, or local:N.",
         show_default=False,
     ),
 ]
 
 Matters = Annotated[
     float,
-    typer.Option(help="Least fall of the error, as a share of the noise.", min=0.0),
+    typer.Option(
+        help="Smallest fall of the error that counts, as a share of the noise.", min=0.0
+    ),
 ]
 Level = Annotated[
-    float, typer.Option(help="Family-wise significance.", min=1e-12, max=0.5)
+    float, typer.Option(help="Family-wise significance level.", min=1e-12, max=0.5)
 ]
 
 Profile = Annotated[
     bool,
-    typer.Option("--profile", help="Intervals by profile likelihood too: many refits."),
+    typer.Option(
+        "--profile", help="Add intervals by profile likelihood (many refits)."
+    ),
 ]
 
 

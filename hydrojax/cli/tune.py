@@ -58,7 +58,7 @@ Spread = Annotated[
 From = Annotated[
     Path | None,
     typer.Option(
-        "--from", help="Folder of identify or trace: the ensemble is drawn from it."
+        "--from", help="Folder written by identify or trace, to draw the ensemble from."
     ),
 ]
 Frozen = Annotated[
@@ -67,40 +67,43 @@ Frozen = Annotated[
 Source = Annotated[
     Path,
     typer.Argument(
-        help="Rig file, or the folder of a trace or identify.", show_default=False
+        help="Rig file, or a folder written by identify or trace.", show_default=False
     ),
 ]
 SourceRig = Annotated[
-    Path | None, typer.Option(help="Rig file of a folder that holds none.")
+    Path | None, typer.Option(help="Rig file, where the folder has none.")
 ]
 Free = Annotated[
     list[str] | None,
     typer.Option(
-        help="What is tuned: k_p, k_f, k_1, tau_d …: all words that follow.",
+        help="Gains to tune, as k_p k_f k_1 tau_d: all words that follow.",
         show_default="k_p k_f k_1, the rates of adaptation, and A_a where a load moves",
     ),
 ]
 Aim = Annotated[
     str,
-    typer.Option(
-        help="What is made as large as it can be: following, magnitude, tracking or "
-        "rejection."
-    ),
+    typer.Option(help="What to maximise: following, magnitude, tracking or rejection."),
 ]
 Tolerance = Annotated[
-    float, typer.Option(help="Of |1 - F/F_d| in the band that follows.", min=0.01)
+    float,
+    typer.Option(help="Tolerance on |1 - F/F_d| in the band that follows.", min=0.01),
 ]
-Peak = Annotated[float, typer.Option(help="Largest resonance, dB.", min=0.1)]
+Peak = Annotated[float, typer.Option(help="Limit on the resonance peak, dB.", min=0.1)]
 Margin = Annotated[
-    float, typer.Option(help="Largest sensitivity at the command, dB.", min=1.0)
+    float, typer.Option(help="Limit on the sensitivity at the command, dB.", min=1.0)
 ]
 Noise = Annotated[
     float,
-    typer.Option(help="Command due to noise, RMS, as a share of its range.", min=1e-6),
+    typer.Option(
+        help="Limit on the command due to noise, RMS, as a share of its range.",
+        min=1e-6,
+    ),
 ]
 Tracking = Annotated[
     float,
-    typer.Option(help="Tracking error, joint moving, relative to before.", min=0.1),
+    typer.Option(
+        help="Limit on the tracking error, joint moving, relative to before.", min=0.1
+    ),
 ]
 Controller = Annotated[
     list[str] | None,
@@ -129,10 +132,11 @@ def sweep(
     cluster: Cluster = "",
     out: Out = Path("hydrojax-sweep"),
 ) -> None:
-    """Map bandwidth over gains, bounds, plant, load, signal path, operating point.
+    """Map bandwidth over gains, plant, load, operating point.
 
-    Run again, a sweep that was stopped goes on where it was, and one that is done does
-    nothing.
+    Axes are gains, bounds, and quantities of plant, load, signal path and operating
+    point. Given again, the same command continues a sweep that was stopped, and does
+    nothing where all is done.
     """
     check_out(context, out)
     set_up_jax(user_cache(), LOOPS)
@@ -185,10 +189,11 @@ def tune(
     effects: Effects = None,
     out: Out = Path("hydrojax-tune"),
 ) -> None:
-    """Find the gains with which the force follows best, and say what limits it.
+    """Find the gains with which the force follows best.
 
-    Gains are proposed only if they hold in simulated runs on every plant; exit 1, and
-    what stands in the way, where there are none (for any controller, of several).
+    Gains are proposed only if they hold in simulated runs on every plant. Where none do
+    (with several controllers: for none of them), what stands in the way is printed, and
+    the exit status is 1.
     """
     check_out(context, out)
     set_up_jax(user_cache(), LOOPS)

@@ -94,7 +94,7 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     return [
         f"fig5: within 1 dB to {fig5['within_1dB_to_Hz_noise']:.1f} Hz by noise, "
         f"{fig5['within_1dB_to_Hz_sines']:.1f} Hz by sines; the paper: "
-        f"{PAPER_SAYS['fig5']}. It prints no bounds of k_f, on which this hangs:",
+        f"{PAPER_SAYS['fig5']}. It prints no bounds of k_f, on which this depends:",
         *(f"  bounds {name}: {edge(hertz)} by noise" for name, hertz in
           by_bounds.items()),
         f"W (31) rises by at most {fall['largest_rise']:.2g} of its start, while the "

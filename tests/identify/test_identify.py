@@ -650,7 +650,7 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
     assert data.driven_by == "pressures"
     assert runs_backward(data) == (sign < 0)
     case = open_case(rig, logs, [check])
-    assert any("turned round" in note for note in case.fit.notes) == (sign < 0)
+    assert any("inverted" in note for note in case.fit.notes) == (sign < 0)
     assert not runs_backward(case.fit)
 
 

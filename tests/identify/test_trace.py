@@ -9,6 +9,7 @@ import json
 import shlex
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from hydrojax.identify.results.outcome import Outcome
 from hydrojax.identify.results.report_json import report_json
 from hydrojax.identify.results.unexplained import dependence, spectral_line, unexplained
 from hydrojax.identify.tracing.score import Projection, Score, family, score
+from hydrojax.rigfile.schema import RigFile
 from tests import generator
 from tests.pages import ROOT, TUTORIAL, blocks, commands, differences
 
@@ -231,14 +233,20 @@ def test_the_tutorial_shows_what_a_trace_prints(traced, capsys):
     assert differences(shown, capsys.readouterr().out) == []
 
 
-def test_the_tutorial_goes_on_with_what_was_found(traced, call, tmp_path, monkeypatch):
-    """A spool and a delay are added as the page does it; then a run, and a map."""
+@pytest.fixture
+def found_there(traced, tmp_path, monkeypatch) -> Path:
+    """A folder with what was found, a spool and a delay added as the page does it."""
     (tmp_path / "found").mkdir()
     shell = next(b for b in blocks(TUTORIAL, "bash") if "<<'END'" in b)
     more = shell.partition("<<'END'\n")[2].partition("\nEND\n")[0]
     assert "[effects.valve_delay]" in more
     (tmp_path / "found/rig.toml").write_text(f"{traced('stribeck').rig_file}\n{more}\n")
     monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_tutorial_goes_on_with_what_was_found(found_there, call):
+    """A run, and a map."""
     for words, begins in (
         (" simulate found/", "12000 samples"),
         (" sweep found/", "linear: widest"),
@@ -248,6 +256,23 @@ def test_the_tutorial_goes_on_with_what_was_found(traced, call, tmp_path, monkey
         said = call(*shlex.split(line)[1:])
         assert said.code == 0, said.err
         assert differences(shown, said.out) == []
+
+
+@pytest.mark.slow
+def test_the_tutorial_ends_with_better_gains(found_there, call):
+    """Tuned on four plants; no plant is worse off than the page promises."""
+    for words in (" tune found/", " simulate tuned/", " export tuned/"):
+        (line,) = (c for c in commands(TUTORIAL) if words in c)
+        said = call(*shlex.split(line)[1:])
+        assert said.code == 0, said.err
+    tuned = json.loads((found_there / "tuned/tune.json").read_text())
+    assert tuned["proposed"]
+    assert not tuned["worst_of_ensemble"]["oscillates"]
+    own = [RigFile.load(found_there / f / "rig.toml") for f in ("found", "tuned")]
+    assert own[0].parameters == own[1].parameters
+    assert own[0].controller != own[1].controller
+    log = np.loadtxt(found_there / "after.csv", delimiter=",", skiprows=1)
+    assert len(log) == 12000 and (found_there / "exported/law.c").is_file()
 
 
 # -- scores, against plain least squares --
