@@ -88,7 +88,8 @@ class Linear(NamedTuple):
         scale = problem.model.scale[self.where]
         free = [problem.free[names[i]] for i in self.where]
         size = np.sqrt(np.maximum(np.diag(self.gram)[:k], 0.0))
-        size = np.maximum(size, 1e-6 * np.max(size, initial=0.0) + 1e-300)
+        size = np.maximum(size, 1e-6 * np.max(size, initial=0.0))
+        size = np.where(size > 0, size, 1.0)  # nothing that is free is seen
         H = self.gram[:k, :k] / np.outer(size, size)
         R = np.linalg.cholesky(H + (damping + 1e-9) * np.eye(k)).T
         aim = np.linalg.solve(R.T, -self.gram[:k, -1] / size)

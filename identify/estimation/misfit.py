@@ -33,6 +33,8 @@ from hydrojax.identify.estimation.sensitivity import (
 from hydrojax.identify.estimation.solve import Fit, minimise
 from hydrojax.identify.preparation.data import Data
 from hydrojax.jax_setup import bucket
+from hydrojax.parameters import put
+from hydrojax.plant.replay import pressures
 
 START_SPREAD = 3e5
 """Prior on a window's initial pressure about its first guess, Pa: wide, it only keeps
@@ -285,6 +287,15 @@ def run_leftover(
 ) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "windows 2"]]:
     """`leftover`, compiled."""
     return leftover(model, values, batch, simulate)
+
+
+@eqx.filter_jit
+def run_pressures(
+    model: ParametricRig, values: Float[Array, "n"], batch: Batch
+) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
+    """Both pressures of the windows as the model has them, Pa; compiled."""
+    rig = put(model.rig, model.names, values)
+    return pressures(rig, batch.windows, jnp.asarray(batch.P_0))
 
 
 @eqx.filter_jit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from hydrojax.identify.estimation.misfit import (
     filled,
     run_fit,
     run_leftover,
+    run_pressures,
     run_sums,
 )
 from hydrojax.identify.estimation.solve import Fit
@@ -41,6 +42,9 @@ SPARE = ((0, 0), (2, 3), (4, 9), (8, 20), (16, 40), (32, 60))
 """Columns kept free for effects that a trace adds (hydraulic, other): the first that
 holds them is taken, so that few programs serve every fit."""
 
+
+KEPT = 4
+"""Values for which a problem keeps the residuals."""
 
 COULOMB = ("k_cp", "k_cn")
 
@@ -96,6 +100,9 @@ class Problem:
     known: Known | None = None
     criteria: Criteria = Criteria()
     least: Room = (0, 0, 0)
+    _begun: dict[bytes, tuple[Batch, np.ndarray]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(
@@ -215,7 +222,7 @@ class Problem:
 
         What gives follows the force that is replayed; see `coupled`.
         """
-        batch, left = self._begun(values)
+        batch, left = self._begin(values)
         if not self.simulate:
             return left
         rig = stretched(self.model, values)
@@ -227,7 +234,7 @@ class Problem:
 
     def started(self, values: Float[np.ndarray, "n"]) -> Batch:
         """The batch with each window's initial pressures as `values` want them."""
-        return self._begun(values)[0]
+        return self._begin(values)[0]
 
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
@@ -236,12 +243,27 @@ class Problem:
             run_leftover(self.model, at, filled(batch, self.least), self.simulate)
         )
 
-    def _begun(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
+    def _begin(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
         """The batch with its windows' initial pressures found, and the residuals.
 
-        They are corrected once, and linearly beyond that: logs that take no part in a
-        fit come with a first guess only. Where no pressure is measured it takes more,
-        and ways that lead through worse places: each window keeps the best it saw.
+        The last few are kept: a search asks again and again for those where it stands.
+        """
+        key = values.tobytes()
+        found = self._begun.get(key)
+        if found is None:
+            found = self._find_starts(values)
+            self._begun[key] = found
+            for old in list(self._begun)[:-KEPT]:
+                self._begun.pop(old, None)
+        return found
+
+    def _find_starts(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
+        """What `_begin` gives.
+
+        Initial pressures are corrected once, and linearly beyond that: logs that take
+        no part in a fit come with a first guess only. Where no pressure is measured it
+        takes more, and ways that lead through worse places: each window keeps the best
+        it saw. Nothing is to be corrected where pressures are the log's.
         """
         noise = np.asarray(self.batch.noise)
         seen = np.isfinite(noise)
@@ -252,7 +274,8 @@ class Problem:
 
         P_0 = best = np.asarray(self.batch.P_0)
         left, off = self._left(values, self.batch)
-        for _ in range(self.criteria.blind_corrections if self.blind else 1):
+        rounds = self.criteria.blind_corrections if self.blind else int(self.simulate)
+        for _ in range(rounds):
             P_0 = np.clip(P_0 - off, 0.0, highest) if self.blind else P_0 - off
             there, off = self._left(values, self.batch._replace(P_0=P_0))
             better = cost(there) <= cost(left)
@@ -274,6 +297,15 @@ class Problem:
         out = run_sums(self.model, at, directions, filled(batch), self.simulate)
         return jax.tree.map(lambda a: np.asarray(a)[: len(batch.P_0)], out)
 
+    def behind(self, values: Float[np.ndarray, "n"]) -> Problem:
+        """The problem at the pressures that are replayed at `values`: what acts behind
+        them, friction and sensors, is fitted at a small part of the cost.
+        """
+        batch, at = self.batch, jnp.asarray(values)
+        P = self._real(run_pressures(self.model, at, filled(batch)))
+        windows = batch.windows._replace(P_a1=P[0], P_a2=P[1])
+        return replace(self, batch=batch._replace(windows=windows), simulate=False)
+
     def _real(self, found: PyTree) -> PyTree:
         """What was found of the windows, without those that only fill up."""
         return jax.tree.map(lambda a: np.asarray(a)[: len(self.batch.P_0)], found)
@@ -285,7 +317,7 @@ class Problem:
         """
         batch = self.batch
         if self.blind:
-            return replace(self, batch=self._begun(values)[0])
+            return replace(self, batch=self._begin(values)[0])
         P_0 = batch.P_0 - at.start[:, :2, -1]
         for i, own in enumerate((batch.windows.P_a1, batch.windows.P_a2)):
             if np.isfinite(np.asarray(batch.noise)[i]):
