@@ -304,6 +304,8 @@ def fitted(
 def refitted(at: Search, noise: Float[np.ndarray, "3"]) -> Search:
     """The fit of all that is free, on the pressures alone where no more is seen."""
     state, problem = at.state, at.state.problem
+    sides = (len(problem.side(state.free, hydraulic)) for hydraulic in (True, False))
+    problem = replace(problem, declared=tuple(sides))
     if np.isfinite(noise[2]):
         known = known_of(problem, at.curves, state.free)
         problem, point = fit_jointly(

@@ -38,7 +38,7 @@ from hydrojax.plant.places import gauge_names
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.schema import RigFile
 
-SPARE = ((0, 0), (2, 3), (4, 9), (8, 20), (16, 40), (32, 60))
+SPARE = ((0, 0), (2, 3), (4, 9), (8, 20), (16, 40))
 """Columns kept free for effects that a trace adds (hydraulic, other): the first that
 holds them is taken, so that few programs serve every fit."""
 
