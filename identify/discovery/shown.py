@@ -20,7 +20,7 @@ from hydrojax.identify.discovery.search import (
     with_laid,
 )
 from hydrojax.identify.discovery.smooth import covariance
-from hydrojax.identify.estimation.misfit import batch_of
+from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.identify.results.outcome import excess_of
