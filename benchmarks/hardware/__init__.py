@@ -1,0 +1,1 @@
+"""Plant and controller in C, period after period: how long each takes."""
