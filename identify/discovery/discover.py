@@ -13,15 +13,10 @@ from hydrojax.identify.discovery.free_form import FORMS
 from hydrojax.identify.discovery.laid import laid_over
 from hydrojax.identify.discovery.search import Search, search
 from hydrojax.identify.discovery.shown import shown
+from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import FitPoint, reweighted
-from hydrojax.identify.estimation.misfit import room_of
-from hydrojax.identify.estimation.problem import (
-    COULOMB,
-    Problem,
-    free_effect,
-    free_parameters,
-    in_play,
-)
+from hydrojax.identify.estimation.known import COULOMB, free_effect, free_parameters
+from hydrojax.identify.estimation.problem import Problem, in_play
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import Outcome

@@ -16,7 +16,7 @@ from hydrojax.identify.discovery.free_form import coefficients
 from hydrojax.identify.discovery.laid import Samples, with_laid
 from hydrojax.identify.discovery.search import Curve, Search
 from hydrojax.identify.discovery.smooth import covariance
-from hydrojax.identify.estimation.misfit import batch_of
+from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.identify.results.outcome import excess_of

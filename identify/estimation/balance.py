@@ -24,9 +24,9 @@ from hydrojax.identify.estimation.columns import (
     Batch,
     ParametricRig,
     basis,
+    filled,
     slot_names,
 )
-from hydrojax.identify.estimation.misfit import filled
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.sensitivity import opened_along
 from hydrojax.identify.estimation.starts import placed, thinned

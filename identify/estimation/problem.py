@@ -14,17 +14,17 @@ from hydrojax.identify.estimation.columns import (
     Basis,
     Batch,
     ParametricRig,
+    Room,
     basis,
+    batch_of,
+    filled,
     slot_names,
 )
 from hydrojax.identify.estimation.coupled import agreed, stretched
-from hydrojax.identify.estimation.known import Known
+from hydrojax.identify.estimation.known import Free, Known, prior_rows
 from hydrojax.identify.estimation.misfit import (
     START_SPREAD,
-    Room,
     Sums,
-    batch_of,
-    filled,
     run_fit,
     run_leftover,
     run_pressures,
@@ -33,10 +33,8 @@ from hydrojax.identify.estimation.misfit import (
 from hydrojax.identify.estimation.solve import Fit
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.parameters import Spec
 from hydrojax.plant.places import gauge_names
 from hydrojax.plant.rig import Rig
-from hydrojax.rigfile.schema import RigFile
 
 SPARE = ((0, 0), (2, 3), (4, 9), (8, 20), (16, 40))
 """Columns kept free for effects that a trace adds (hydraulic, other): the first that
@@ -46,37 +44,8 @@ holds them is taken, so that few programs serve every fit."""
 KEPT = 4
 """Values for which a problem keeps the residuals."""
 
-COULOMB = ("k_cp", "k_cn")
-
-
 PRESSURES = np.array([True, True, False])
 """Which channels are pressures."""
-
-
-@dataclass(frozen=True)
-class Free:
-    """A parameter that is to be found: where it starts and what it may be, SI."""
-
-    start: float
-    lower: float
-    upper: float
-    prior: float | None = None
-
-
-def free_parameters(spec: RigFile) -> dict[str, Free]:
-    """What a rig file leaves to be found, effects it declares included."""
-    entries = dict(spec.parameters)
-    for effect, given in spec.effects.items():
-        entries |= {f"{effect}.{name}": e for name, e in given.items()}
-    return {name: Free(e.start, *e.range) for name, e in entries.items() if e.range}
-
-
-def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
-    """The parameters of an effect that a trace adds, from its declaration."""
-    return {
-        f"{name}.{field}": Free(s.default, s.lower, s.upper, s.prior)
-        for field, s in spec.items()
-    }
 
 
 @dataclass(frozen=True)
@@ -163,11 +132,13 @@ class Problem:
         batch = self.batch
         if noise is not None:
             batch = batch._replace(noise=noise)
+        tied = self.criteria.tied if self.symmetric else None
+        slope, away = prior_rows(self.free, self.known, tied, columns, at, scale)
         out = run_fit(
             self.model,
             jnp.asarray(values),
             basis(self.model, free, slots),
-            self._prior(columns, at, scale),
+            (jnp.asarray(slope), jnp.asarray(away)),
             boxed(lower),
             boxed(upper),
             filled(batch),
@@ -181,26 +152,6 @@ class Problem:
                 # Clipped again in SI: the box's corner may be off by rounding.
                 moved[index[i]] = np.clip(at[i] + step[i], lower[i], upper[i])
         return moved, out
-
-    def _prior(self, columns, at, scale) -> tuple[Array, Array]:
-        """Residual rows of what is known beforehand: slope [k+1, k], value [k+1].
-
-        One row per column with a prior, and one that ties k_cp to k_cn.
-        """
-        slope, value = np.zeros((len(columns) + 1, len(columns))), []
-        for i, name in enumerate(columns):
-            known = self.free[name].prior if name else None
-            slope[i, i] = scale[i] / known if known else 0.0
-            value.append((at[i] - self.free[name].start) / known if known else 0.0)
-        if self.known is not None:
-            slope[:-1], value = self.known.rows(columns, at, scale)
-        tied = self.criteria.tied
-        pair = [columns.index(n) for n in COULOMB if n in columns]
-        difference = 0.0
-        if self.symmetric and len(pair) == 2:
-            slope[-1, pair] = scale[pair[0]] / tied, -scale[pair[1]] / tied
-            difference = (at[pair[0]] - at[pair[1]]) / tied
-        return jnp.asarray(slope), jnp.asarray([*value, difference])
 
     def sums_at(
         self,
