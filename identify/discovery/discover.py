@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from hydrojax.identify.case import Case
 from hydrojax.identify.discovery.free_form import FORMS
-from hydrojax.identify.discovery.search import Search, laid_over, search
+from hydrojax.identify.discovery.laid import laid_over
+from hydrojax.identify.discovery.search import Search, search
 from hydrojax.identify.discovery.shown import shown
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import FitPoint, reweighted

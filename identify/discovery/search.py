@@ -5,20 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from hydrojax.effects.splines import knots_over
 from hydrojax.identify.discovery.free_form import (
-    COUNT,
     FORMS,
-    TERMS,
-    FreeForm,
-    Term,
     coefficients,
 )
+from hydrojax.identify.discovery.laid import Laid, with_laid
 from hydrojax.identify.discovery.smooth import Columns, Smooth, directions, smoothed
 from hydrojax.identify.estimation.fit import fit_jointly, fit_pressures, only
 from hydrojax.identify.estimation.known import Known
@@ -29,17 +24,6 @@ from hydrojax.identify.tracing.score import Projection, Score, family
 from hydrojax.identify.tracing.screen import size_that_matters
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.plant.places import PLACES
-
-Samples = Mapping[str, Float[np.ndarray, "rows"]]
-"""What the logs hold of each signal, by its name, SI."""
-
-
-@dataclass(frozen=True)
-class Laid:
-    """A term over the logs' own range: its knots and where it may be absent."""
-
-    term: Term
-    effect: FreeForm
 
 
 @dataclass(frozen=True)
@@ -72,31 +56,6 @@ class Search:
     def taken(self) -> set[str]:
         """Places that have a curve."""
         return {c.laid.term.place for c in self.curves}
-
-
-def laid_over(samples: Samples) -> list[Laid]:
-    """Every term whose signal the logs move, over their range."""
-    out = []
-    for term in TERMS:
-        rows = samples.get(term.signal)
-        if rows is not None and np.ptp(np.quantile(rows, [0.01, 0.99])) > 0:
-            out.append(Laid(term, term.laid(knots_over(rows, COUNT))))
-    return out
-
-
-def with_laid(problem: Problem, effects: Sequence[FreeForm]) -> Problem:
-    """The problem whose free forms at these effects' places are these."""
-    rig = problem.model.rig
-    for effect in effects:
-        place = [effect if type(e) is type(effect) else e
-                 for e in getattr(rig, effect.place)]  # fmt: skip
-        rig = eqx.tree_at(
-            lambda r, p=effect.place: getattr(r, p),
-            rig,
-            tuple(place),
-            is_leaf=lambda x: isinstance(x, tuple),
-        )
-    return replace(problem, model=problem.model._replace(rig=rig))
 
 
 def search(begun: Search, every: Sequence[Laid]) -> Search:

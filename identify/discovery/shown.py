@@ -13,12 +13,8 @@ from hydrojax.identify.case import Case
 from hydrojax.identify.discovery.effect_file import Law, effect_source
 from hydrojax.identify.discovery.formula import formula_of
 from hydrojax.identify.discovery.free_form import coefficients
-from hydrojax.identify.discovery.search import (
-    Curve,
-    Samples,
-    Search,
-    with_laid,
-)
+from hydrojax.identify.discovery.laid import Samples, with_laid
+from hydrojax.identify.discovery.search import Curve, Search
 from hydrojax.identify.discovery.smooth import covariance
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.preparation.noise import CHANNELS

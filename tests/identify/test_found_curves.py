@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from unittest.mock import Mock
 
 import jsonschema
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from hydrojax import api
+from hydrojax.cli.options import load_effects as take
 from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.effects.splines import knots_over
+from hydrojax.errors import InputError
 from hydrojax.identify.discovery.effect_file import (
     Law,
     effect_file,
@@ -20,8 +25,9 @@ from hydrojax.identify.discovery.effect_file import (
 from hydrojax.identify.discovery.formula import FORMS, Formula
 from hydrojax.identify.discovery.free_form import TERMS
 from hydrojax.identify.report.write import plot, write_report
+from hydrojax.identify.result import Result
 from hydrojax.identify.results.curve import FoundCurve
-from hydrojax.identify.results.outcome import ChannelErrors, Outcome
+from hydrojax.identify.results.outcome import ChannelErrors, Outcome, Parameter
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding
 from hydrojax.report.schema import report_schema
@@ -73,7 +79,8 @@ def outcome(*curves: FoundCurve) -> Outcome:
         validate_logs=("validate.csv",),
         verdict="unknown",
         sentence="Something is left.",
-        parameters={},
+        parameters={"k_cp": Parameter(900.0, "N", "level", 800.0, True, 3.0)},
+        seconds={"compile": 1.0, "run": 2.0},
         channels={"F": ChannelErrors("N", 2.5, 14.0, 14.0)},
         curves=curves,
     )
@@ -158,6 +165,61 @@ def test_every_form_can_be_written(form, tmp_path, vocabulary):
     effect, x = kind(**given), np.linspace(-span, span, 41)
     got = [float(effect.force(sliding(x=one))) for one in x]
     np.testing.assert_allclose(got, formula.at(x), atol=0.05 * np.ptp(formula.at(x)))
+
+
+def test_a_summary_says_its_curves():
+    said = Result(outcome(found(law("level_over_v", bell()))), Mock()).summary()
+    said = " ".join(said.split())
+    assert "level_over_v: 97 % of the excess" in said
+    assert "120 N * exp" in said
+
+
+@pytest.mark.parametrize("verdict", ["unknown", "explained"])
+def test_the_command_traces_again_with_what_it_found(
+    verdict, tmp_path, monkeypatch, vocabulary, call
+):
+    """Only where the first trace ends unknown; the traces themselves are made up."""
+    known = []
+    first = replace(outcome(), verdict=verdict)
+    second = replace(outcome(), verdict="explained", sentence="All of it.")
+    curve = found(law("level_over_v", bell()))
+
+    def discover(result, progress):
+        return replace(result, outcome=replace(result.outcome, curves=(curve,)))
+
+    def traced(*args):
+        known.extend(EFFECTS)
+        return second
+
+    monkeypatch.setattr(api, "trace", lambda *_, **__: Result(first, Mock()))
+    monkeypatch.setattr(api, "discover", discover)
+    monkeypatch.setattr(api.api, "trace_case", traced)
+    done = call("trace", "rig.toml", "a.csv", "--validate", "b.csv", "--discover",
+               "--out", str(tmp_path / "out"))  # fmt: skip
+    assert done.code == 0
+    again = verdict == "unknown"
+    assert ("level_over_v" in known) == again
+    assert (tmp_path / "out" / "my_effects.py").exists() == again
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert len(report["curves"]) == again
+    assert report["verdict"] == "explained"
+
+
+def test_a_folder_of_found_effects_is_taken(tmp_path, vocabulary):
+    for term in ("level_over_v", "force_over_x"):
+        text = effect_file("a rig", [found(law(term), "none")])
+        (tmp_path / f"{term}.py").write_text(text)
+    take([tmp_path])
+    assert {"level_over_v", "force_over_x"} <= set(EFFECTS)
+    (tmp_path / "none").mkdir()
+    with pytest.raises(InputError, match="none: holds no Python file"):
+        take([tmp_path / "none"])
+
+
+def test_curves_need_a_validation_log():
+    case = Mock(held_out=False)
+    with pytest.raises(InputError, match="give at least one with validate"):
+        api.discover(Result(outcome(), case))
 
 
 def test_units_over_units():
