@@ -52,6 +52,14 @@ def _soft(s: Rows, s_0: float) -> Rows:
 
 FORMS: tuple[Form, ...] = (
     Form("linear", lambda s, _: (s,), ("s",), (1,), False),
+    Form(
+        "line",
+        lambda s, _: (np.ones_like(s), s),
+        ("1.0 + 0.0 * s", "s"),
+        (0, 1),
+        False,
+        said=("1", "s"),
+    ),
     Form("quadratic", lambda s, _: (s, s**2), ("s", "s**2"), (1, 2), False),
     Form(
         "cubic",
@@ -113,7 +121,7 @@ FORMS: tuple[Form, ...] = (
         said=("sign(s) * max(abs(s) - s_0, 0)",),
     ),
 )
-"""Polynomials, |v|v, exponentials, tanh, sine, step, ramps and dead zone."""
+"""Lines and polynomials, |v|v, exponentials, tanh, sine, step, ramps and dead zone."""
 
 
 @dataclass(frozen=True)
