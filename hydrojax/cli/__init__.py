@@ -151,12 +151,12 @@ def _interruptible(came: list[int]) -> Iterator[None]:
     finally:
         ended.set()
         signal.set_wakeup_fd(wakened)
+        writer.close()
+        thread.join()  # before the handlers go: it may be sending a signal
+        reader.close()
         for number, handler in zip(signals, before, strict=True):
             signal.signal(number, handler)
         sys.unraisablehook = hook
-        writer.close()
-        thread.join()
-        reader.close()
 
 
 def main() -> None:
