@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("memory-benchmark"))
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    from benchmarks.damage.readers import held
+    from benchmarks.damage.doors import held
     from benchmarks.trace.cases import LOGS
     from hydrojax.jax_setup import resident, return_freed_memory, set_up_jax
 

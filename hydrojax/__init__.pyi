@@ -4,6 +4,7 @@ from . import effects as effects
 from . import export as export
 from . import paper as paper
 from .api import check as check
+from .api import discover as discover
 from .api import fit as fit
 from .api import trace as trace
 from .control.base import AbstractController as AbstractController

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from hydrojax.errors import InputError
 from hydrojax.identify import api
@@ -80,6 +81,54 @@ def trace(
     """
     case = _opened(rig, logs, validate, test, horizon, criteria)
     return Result(api.trace_case(case, starts, progress, profile), case)
+
+
+def discover(result: Result, *, progress: Progress = lambda _: None) -> Result:
+    """Look for what no known effect explains: curves over the rig's signals.
+
+    At each place of the signal path (command, flow into the chambers, compliance,
+    Coulomb level, friction, force at the load cell) a curve of free form is tried over
+    each signal of that place, by the rule of the named effects: a family-wise test of
+    its score, a refit with all that is free, and a validation error that falls. The
+    curves are penalised B-splines whose smoothing is found by restricted likelihood;
+    what the rig's own parameters can follow is left to them.
+
+    Args:
+        result: of `fit` or `trace`; only what it leaves above the noise is looked at.
+        progress: is called with a line of text at each stage.
+
+    Returns:
+        The result with `curves`; `save` writes my_effects.py beside the report, which
+        `load_effects` takes.
+
+    Raises:
+        InputError: no validation log was given.
+    """
+    ensure_jax()
+    case = result.case
+    if not case.held_out:
+        raise InputError(
+            f"{case.spec.path}: curves are judged on logs that take no part in the "
+            "fit: give at least one with validate"
+        )
+    from hydrojax.identify.discovery.discover import searched
+
+    _, outcome = searched(case, result.outcome, progress)
+    return replace(result, outcome=outcome)
+
+
+def retraced(
+    result: Result,
+    starts: int = 1,
+    profile: bool = False,
+    progress: Progress = lambda _: None,
+) -> Result:
+    """The trace of a result's case once more, with what was added to the vocabulary
+    since; its curves are kept.
+    """
+    outcome = api.trace_case(result.case, starts, progress, profile)
+    outcome = replace(outcome, curves=result.curves)
+    return Result(outcome, result.case)
 
 
 def check(rig: RigSource, logs: Sequence[LogSource]) -> Checked:

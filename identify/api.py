@@ -16,6 +16,7 @@ from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.check import check_inputs
 from hydrojax.identify.estimation.balance import balanced
+from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
     fit_force,
@@ -23,14 +24,8 @@ from hydrojax.identify.estimation.fit import (
     fit_pressures,
     reweighted,
 )
-from hydrojax.identify.estimation.misfit import room_of
-from hydrojax.identify.estimation.problem import (
-    COULOMB,
-    Problem,
-    free_effect,
-    free_parameters,
-    in_play,
-)
+from hydrojax.identify.estimation.known import COULOMB, free_effect, free_parameters
+from hydrojax.identify.estimation.problem import Problem, in_play
 from hydrojax.identify.estimation.starts import best_start
 from hydrojax.identify.inference.profile import profiles
 from hydrojax.identify.inference.tolerance import with_tolerances

@@ -21,7 +21,7 @@ from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.identify.estimation.columns import ParametricRig
-from hydrojax.identify.estimation.problem import Free, free_parameters
+from hydrojax.identify.estimation.known import Free, free_parameters
 from hydrojax.identify.experiment import (
     ENOUGH,
     FORCE_HZ,

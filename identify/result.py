@@ -17,6 +17,7 @@ from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.report.figures import every_parameter, judged
 from hydrojax.identify.report.write import plot, result_html, write_report
+from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.identify.results.outcome import FoundEffect, Outcome
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant.rig import Rig
@@ -159,6 +160,11 @@ class Result:
                 out[f"{name}_measured"] = measured[..., c].ravel()
         return pd.DataFrame(out)
 
+    @property
+    def curves(self) -> tuple[FoundCurve, ...]:
+        """What no known effect explains, as curves; see `hydrojax.discover`."""
+        return self.outcome.curves
+
     def summary(self) -> str:
         """The verdict, the channels, the effects and the fitted parameters as text."""
         o = self.outcome
@@ -172,16 +178,22 @@ class Result:
                if e.cannot_tell_from else "")
             for e in o.effects
         ]  # fmt: skip
+        beside = [
+            f"{c.name}: {100 * c.share:.0f} % of the excess, p "
+            f"{p_equation(c.p_value)}, {c.law or 'no formula does as well'}"
+            for c in o.curves
+        ]
         says = [f"{f.input}: {f.says}" for f in o.inputs[1:]]
         parts = [
             [title],
             [f"verdict: {o.verdict}", o.sentence, *used],
             [f"RMS errors on the {judged(o)} logs", _table(self.channels)],
             ["effects", *found] if found else [],
+            ["curves beside the known effects", *beside] if beside else [],
             [_table(fitted)],
             [f"- {line}" for line in (*says, *o.limits, *o.notes)],
         ]
-        width = max(len(line) for line in parts[4][0].splitlines())
+        width = max(len(line) for line in parts[5][0].splitlines())
         rule = "\n" + "-" * width + "\n"
         return rule.join(_wrapped(part, width) for part in parts if part) + "\n"
 

@@ -16,8 +16,8 @@ from hydrojax import jax_setup
 from hydrojax.identify import api
 from hydrojax.identify import case as cases
 from hydrojax.identify.case import Case, open_case
-from hydrojax.identify.estimation.columns import ParametricRig, basis
-from hydrojax.identify.estimation.misfit import filled, sums
+from hydrojax.identify.estimation.columns import ParametricRig, basis, filled
+from hydrojax.identify.estimation.misfit import sums
 
 LOOP = """
 import jax, jax.numpy as jnp

@@ -31,17 +31,9 @@ from typing import Any
 
 import hydrojax
 
+from .doors import READERS, WORDS, fault_of, held
 from .mutations import damaged_log, damaged_rig
-from .readers import (
-    MEMORY,
-    NASTY,
-    READERS,
-    SECONDS,
-    WORDS,
-    damaged,
-    fault_of,
-    held,
-)
+from .readers import MEMORY, NASTY, SECONDS, damaged
 from .samples import samples
 
 CORPUS = Path(__file__).parent / "corpus.json"

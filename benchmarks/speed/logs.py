@@ -136,7 +136,8 @@ def problem(folder: str) -> Any:
     """
     import jax.numpy as jnp
 
-    from hydrojax.identify.estimation.problem import Problem, free_parameters
+    from hydrojax.identify.estimation.known import free_parameters
+    from hydrojax.identify.estimation.problem import Problem
     from hydrojax.rigfile.build import build_rig
 
     case = opened(folder)

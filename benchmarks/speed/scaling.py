@@ -56,7 +56,8 @@ def scores(folder: str, count: int) -> Build:
     what a trace looks at before it refits any.
     """
     from hydrojax.identify.api import applicable
-    from hydrojax.identify.estimation.problem import Problem, free_parameters
+    from hydrojax.identify.estimation.known import free_parameters
+    from hydrojax.identify.estimation.problem import Problem
     from hydrojax.rigfile.build import build_rig
 
     case = opened(folder)

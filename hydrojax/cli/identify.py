@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hydrojax.cli.options import (
+    Discover,
     Effects,
     FailOn,
     Horizon,
@@ -36,6 +37,7 @@ from hydrojax.cli.options import (
 from hydrojax.jax_setup import set_up_jax, user_cache
 
 if TYPE_CHECKING:
+    from hydrojax.api import Progress
     from hydrojax.identify.result import Result
     from hydrojax.identify.results.outcome import Outcome
 
@@ -139,6 +141,7 @@ def trace(
     matters: Matters = 0.02,
     level: Level = 0.01,
     profile: Profile = False,
+    discover: Discover = False,
     effects: Effects = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -158,6 +161,8 @@ def trace(
             criteria=Criteria(matters=matters, level=level), profile=profile,
             progress=progress,
         )  # fmt: skip
+        if discover and result.verdict == "unknown":
+            result = _discovered(result, out, starts, profile, progress)
     _finish(result, out, json, quiet, failing)
 
 
@@ -169,6 +174,20 @@ def demo(context: typer.Context, out: Out = Path("hydrojax-demo")) -> None:
         console.print("trace of the demo rig: two logs to fit, one to check\n")
         logs = [here / "fit_1.csv.gz", here / "fit_2.csv.gz"]
         trace(context, here / "rig.toml", logs, [here / "validate.csv.gz"], out=out)
+
+
+def _discovered(
+    result: Result, out: Path, starts: int, profile: bool, progress: Progress
+) -> Result:
+    """The trace with curves for what it left, traced again with them as effects."""
+    from hydrojax import api
+
+    result = api.discover(result, progress=progress)
+    if not result.curves:
+        return result
+    result.save(out, command_line())
+    load_effects([out / "my_effects.py"])
+    return api.retraced(result, starts, profile, progress)
 
 
 def _finish(
@@ -225,6 +244,11 @@ def print_outcome(outcome: Outcome) -> None:
             else ""
         )
         console.print(f"{effect.name}: {found}{alike}")
+    for c in outcome.curves:
+        console.print(
+            f"{c.name}: {100 * c.share:.0f} % of the excess, "
+            f"{c.law or 'no formula does as well as the curve'}; in my_effects.py"
+        )
     says = (f"{f.input}: {f.says}" for f in outcome.inputs[1:])
     for line in (*says, *outcome.limits, *outcome.notes):
         console.print(f"- {line}")

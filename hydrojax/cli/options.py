@@ -41,6 +41,14 @@ Horizon = Annotated[
     float, typer.Option(help="Length of the replay windows, s.", min=0.01)
 ]
 Out = Annotated[Path, typer.Option(help="Folder for the report and its figures.")]
+Discover = Annotated[
+    bool,
+    typer.Option(
+        "--discover",
+        help="Where it ends unknown: find curves for what is left, write them as "
+        "my_effects.py, and trace again with them.",
+    ),
+]
 Effects = Annotated[
     list[Path] | None,
     typer.Option(help="Python file with effects of your own; may be repeated."),

@@ -35,6 +35,7 @@ from hydrojax.effects.sensors import (
     PressureSensorLag,
     SignalFilter,
 )
+from hydrojax.effects.splines import curve
 from hydrojax.effects.structure import (
     Backlash,
     GravityLoad,
@@ -182,6 +183,7 @@ __all__ = [
     "StretchEffect",
     "SupplyEffect",
     "VolumeEffect",
+    "curve",
     "effect",
     "load_effects",
     "offered",

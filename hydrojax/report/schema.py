@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, Field
 
+from hydrojax.report.curve import CurveRecord
 from hydrojax.report.parts import (
     CandidateRecord,
     ChannelRecord,
@@ -69,6 +70,11 @@ class Report(Part):
         "given",
     )
     effects: list[EffectRecord] = Field(description="effects that were named")
+    curves: list[CurveRecord] = Field(
+        [],
+        description="curves for what no known effect explains, where they were asked "
+        "for (`trace --discover`)",
+    )
     candidates: list[CandidateRecord] = Field(
         [], description="every effect that was tried, and what became of it"
     )

@@ -24,9 +24,9 @@ from hydrojax.identify.estimation.columns import (
     Batch,
     ParametricRig,
     basis,
+    filled,
     slot_names,
 )
-from hydrojax.identify.estimation.misfit import filled
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.sensitivity import opened_along
 from hydrojax.identify.estimation.starts import placed, thinned
@@ -88,7 +88,8 @@ class Linear(NamedTuple):
         scale = problem.model.scale[self.where]
         free = [problem.free[names[i]] for i in self.where]
         size = np.sqrt(np.maximum(np.diag(self.gram)[:k], 0.0))
-        size = np.maximum(size, 1e-6 * np.max(size, initial=0.0) + 1e-300)
+        size = np.maximum(size, 1e-6 * np.max(size, initial=0.0))
+        size = np.where(size > 0, size, 1.0)  # nothing that is free is seen
         H = self.gram[:k, :k] / np.outer(size, size)
         R = np.linalg.cholesky(H + (damping + 1e-9) * np.eye(k)).T
         aim = np.linalg.solve(R.T, -self.gram[:k, -1] / size)

@@ -17,7 +17,8 @@ from scipy import stats
 
 from hydrojax.errors import InputError
 from hydrojax.identify.estimation.fit import FitPoint
-from hydrojax.identify.estimation.problem import Free, Problem
+from hydrojax.identify.estimation.known import Free
+from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.data import Data
 from hydrojax.plant.friction import Theta
 

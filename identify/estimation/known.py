@@ -1,12 +1,43 @@
-"""What other logs say of a fit's parameters, as residual rows."""
+"""What is known of a fit's parameters beforehand: ranges, priors, and other logs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+
+from hydrojax.parameters import Spec
+from hydrojax.rigfile.schema import RigFile
+
+COULOMB = ("k_cp", "k_cn")
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that is to be found: where it starts and what it may be, SI."""
+
+    start: float
+    lower: float
+    upper: float
+    prior: float | None = None
+
+
+def free_parameters(spec: RigFile) -> dict[str, Free]:
+    """What a rig file leaves to be found, effects it declares included."""
+    entries = dict(spec.parameters)
+    for effect, given in spec.effects.items():
+        entries |= {f"{effect}.{name}": e for name, e in given.items()}
+    return {name: Free(e.start, *e.range) for name, e in entries.items() if e.range}
+
+
+def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
+    """The parameters of an effect that a trace adds, from its declaration."""
+    return {
+        f"{name}.{field}": Free(s.default, s.lower, s.upper, s.prior)
+        for field, s in spec.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -35,3 +66,31 @@ class Known:
             slope[: len(root), i] = root[:, j]
             away[i] = (at[i] - self.values[j]) / scale[i]
         return slope, slope @ away
+
+
+def prior_rows(
+    free: Mapping[str, Free],
+    known: Known | None,
+    tied: float | None,
+    columns: Sequence[str | None],
+    at: Float[np.ndarray, "columns"],
+    scale: Float[np.ndarray, "columns"],
+) -> tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, "rows"]]:
+    """Residual rows of what is known beforehand, and their value with the columns `at`.
+
+    One row per column, by its prior or by `known`, and one that ties k_cp to k_cn to
+    within `tied` (N), where there is such a bound.
+    """
+    slope, value = np.zeros((len(columns) + 1, len(columns))), []
+    for i, name in enumerate(columns):
+        prior = free[name].prior if name else None
+        slope[i, i] = scale[i] / prior if prior else 0.0
+        value.append((at[i] - free[name].start) / prior if name and prior else 0.0)
+    if known is not None:
+        slope[:-1], value = known.rows(columns, at, scale)
+    pair = [columns.index(n) for n in COULOMB if n in columns]
+    difference = 0.0
+    if tied is not None and len(pair) == 2:
+        slope[-1, pair] = scale[pair[0]] / tied, -scale[pair[1]] / tied
+        difference = (at[pair[0]] - at[pair[1]]) / tied
+    return slope, np.array([*value, difference])

@@ -31,8 +31,8 @@ from hydrojax.identify.estimation.sensitivity import (
     sensitivities,
 )
 from hydrojax.identify.estimation.solve import Fit, minimise
-from hydrojax.identify.preparation.data import Data
-from hydrojax.jax_setup import bucket
+from hydrojax.parameters import put
+from hydrojax.plant.replay import pressures
 
 START_SPREAD = 3e5
 """Prior on a window's initial pressure about its first guess, Pa: wide, it only keeps
@@ -183,49 +183,6 @@ def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:
     return _leftover(residual, dy, white, start), start[:, :2]
 
 
-def batch_of(data: Data) -> Batch:
-    """A fit's arrays from prepared logs."""
-    motion, windows = jax.tree.map(np.asarray, (data.motion, data.windows))
-    supply_noise, weight = np.asarray(data.supply_noise), np.ones(len(data.P_0))
-    return Batch(motion, windows, data.P_0, data.noise, supply_noise, weight)
-
-
-Room = tuple[int, int, int]
-"""Windows, segments, and ticks of a segment."""
-
-
-def room_of(batch: Batch) -> Room:
-    """What the programs of a batch have room for."""
-    segments, ticks = batch.motion.h.shape
-    return bucket(len(batch.P_0)), bucket(segments, 1), bucket(ticks + 1)
-
-
-def filled(batch: Batch, least: Room = (0, 0, 0)) -> Batch:
-    """The batch with copies of its last window that weigh nothing, and standstill after
-    its motion: logs of other lengths then find their programs compiled. To the size
-    `least`, or larger.
-    """
-    windows, *room = map(max, room_of(batch), least)
-    which = np.minimum(np.arange(windows), len(batch.P_0) - 1)
-    segments, ticks = batch.motion.h.shape
-    more = (room[0] - segments, room[1] - ticks - 1)
-
-    def longer(a):
-        return np.pad(a, [*zip((0, 0, 0), (*more, 0), strict=True)][: a.ndim], "edge")
-
-    own = (batch.windows, batch.P_0, batch.weight)
-    own = jax.tree.map(lambda a: np.asarray(a)[which], own)
-    motion = jax.tree.map(longer, batch.motion)
-    still = np.array(motion.dx)
-    still[segments:], still[:, ticks:] = 0.0, 0.0
-    return batch._replace(
-        motion=motion._replace(dx=still),
-        windows=own[0],
-        P_0=own[1],
-        weight=own[2] * (np.arange(windows) < len(batch.P_0)),
-    )
-
-
 def _gram(
     model: ParametricRig,
     values: Array,
@@ -285,6 +242,15 @@ def run_leftover(
 ) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "windows 2"]]:
     """`leftover`, compiled."""
     return leftover(model, values, batch, simulate)
+
+
+@eqx.filter_jit
+def run_pressures(
+    model: ParametricRig, values: Float[Array, "n"], batch: Batch
+) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
+    """Both pressures of the windows as the model has them, Pa; compiled."""
+    rig = put(model.rig, model.names, values)
+    return pressures(rig, batch.windows, jnp.asarray(batch.P_0))
 
 
 @eqx.filter_jit

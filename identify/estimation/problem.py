@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -14,65 +14,38 @@ from hydrojax.identify.estimation.columns import (
     Basis,
     Batch,
     ParametricRig,
+    Room,
     basis,
+    batch_of,
+    filled,
     slot_names,
 )
 from hydrojax.identify.estimation.coupled import agreed, stretched
-from hydrojax.identify.estimation.known import Known
+from hydrojax.identify.estimation.known import Free, Known, prior_rows
 from hydrojax.identify.estimation.misfit import (
     START_SPREAD,
-    Room,
     Sums,
-    batch_of,
-    filled,
     run_fit,
     run_leftover,
+    run_pressures,
     run_sums,
 )
 from hydrojax.identify.estimation.solve import Fit
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.parameters import Spec
 from hydrojax.plant.places import gauge_names
 from hydrojax.plant.rig import Rig
-from hydrojax.rigfile.schema import RigFile
 
 SPARE = ((0, 0), (2, 3), (4, 9), (8, 20), (16, 40))
 """Columns kept free for effects that a trace adds (hydraulic, other): the first that
 holds them is taken, so that few programs serve every fit."""
 
 
-COULOMB = ("k_cp", "k_cn")
-
+KEPT = 4
+"""Values for which a problem keeps the residuals."""
 
 PRESSURES = np.array([True, True, False])
 """Which channels are pressures."""
-
-
-@dataclass(frozen=True)
-class Free:
-    """A parameter that is to be found: where it starts and what it may be, SI."""
-
-    start: float
-    lower: float
-    upper: float
-    prior: float | None = None
-
-
-def free_parameters(spec: RigFile) -> dict[str, Free]:
-    """What a rig file leaves to be found, effects it declares included."""
-    entries = dict(spec.parameters)
-    for effect, given in spec.effects.items():
-        entries |= {f"{effect}.{name}": e for name, e in given.items()}
-    return {name: Free(e.start, *e.range) for name, e in entries.items() if e.range}
-
-
-def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:
-    """The parameters of an effect that a trace adds, from its declaration."""
-    return {
-        f"{name}.{field}": Free(s.default, s.lower, s.upper, s.prior)
-        for field, s in spec.items()
-    }
 
 
 @dataclass(frozen=True)
@@ -96,6 +69,9 @@ class Problem:
     known: Known | None = None
     criteria: Criteria = Criteria()
     least: Room = (0, 0, 0)
+    _begun: dict[bytes, tuple[Batch, np.ndarray]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(
@@ -156,11 +132,13 @@ class Problem:
         batch = self.batch
         if noise is not None:
             batch = batch._replace(noise=noise)
+        tied = self.criteria.tied if self.symmetric else None
+        slope, away = prior_rows(self.free, self.known, tied, columns, at, scale)
         out = run_fit(
             self.model,
             jnp.asarray(values),
             basis(self.model, free, slots),
-            self._prior(columns, at, scale),
+            (jnp.asarray(slope), jnp.asarray(away)),
             boxed(lower),
             boxed(upper),
             filled(batch),
@@ -174,26 +152,6 @@ class Problem:
                 # Clipped again in SI: the box's corner may be off by rounding.
                 moved[index[i]] = np.clip(at[i] + step[i], lower[i], upper[i])
         return moved, out
-
-    def _prior(self, columns, at, scale) -> tuple[Array, Array]:
-        """Residual rows of what is known beforehand: slope [k+1, k], value [k+1].
-
-        One row per column with a prior, and one that ties k_cp to k_cn.
-        """
-        slope, value = np.zeros((len(columns) + 1, len(columns))), []
-        for i, name in enumerate(columns):
-            known = self.free[name].prior if name else None
-            slope[i, i] = scale[i] / known if known else 0.0
-            value.append((at[i] - self.free[name].start) / known if known else 0.0)
-        if self.known is not None:
-            slope[:-1], value = self.known.rows(columns, at, scale)
-        tied = self.criteria.tied
-        pair = [columns.index(n) for n in COULOMB if n in columns]
-        difference = 0.0
-        if self.symmetric and len(pair) == 2:
-            slope[-1, pair] = scale[pair[0]] / tied, -scale[pair[1]] / tied
-            difference = (at[pair[0]] - at[pair[1]]) / tied
-        return jnp.asarray(slope), jnp.asarray([*value, difference])
 
     def sums_at(
         self,
@@ -215,7 +173,7 @@ class Problem:
 
         What gives follows the force that is replayed; see `coupled`.
         """
-        batch, left = self._begun(values)
+        batch, left = self._begin(values)
         if not self.simulate:
             return left
         rig = stretched(self.model, values)
@@ -227,7 +185,7 @@ class Problem:
 
     def started(self, values: Float[np.ndarray, "n"]) -> Batch:
         """The batch with each window's initial pressures as `values` want them."""
-        return self._begun(values)[0]
+        return self._begin(values)[0]
 
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
@@ -236,12 +194,27 @@ class Problem:
             run_leftover(self.model, at, filled(batch, self.least), self.simulate)
         )
 
-    def _begun(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
+    def _begin(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
         """The batch with its windows' initial pressures found, and the residuals.
 
-        They are corrected once, and linearly beyond that: logs that take no part in a
-        fit come with a first guess only. Where no pressure is measured it takes more,
-        and ways that lead through worse places: each window keeps the best it saw.
+        The last few are kept: a search asks again and again for those where it stands.
+        """
+        key = values.tobytes()
+        found = self._begun.get(key)
+        if found is None:
+            found = self._find_starts(values)
+            self._begun[key] = found
+            for old in list(self._begun)[:-KEPT]:
+                self._begun.pop(old, None)
+        return found
+
+    def _find_starts(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
+        """What `_begin` gives.
+
+        Initial pressures are corrected once, and linearly beyond that: logs that take
+        no part in a fit come with a first guess only. Where no pressure is measured it
+        takes more, and ways that lead through worse places: each window keeps the best
+        it saw. Nothing is to be corrected where pressures are the log's.
         """
         noise = np.asarray(self.batch.noise)
         seen = np.isfinite(noise)
@@ -252,7 +225,8 @@ class Problem:
 
         P_0 = best = np.asarray(self.batch.P_0)
         left, off = self._left(values, self.batch)
-        for _ in range(self.criteria.blind_corrections if self.blind else 1):
+        rounds = self.criteria.blind_corrections if self.blind else int(self.simulate)
+        for _ in range(rounds):
             P_0 = np.clip(P_0 - off, 0.0, highest) if self.blind else P_0 - off
             there, off = self._left(values, self.batch._replace(P_0=P_0))
             better = cost(there) <= cost(left)
@@ -274,6 +248,15 @@ class Problem:
         out = run_sums(self.model, at, directions, filled(batch), self.simulate)
         return jax.tree.map(lambda a: np.asarray(a)[: len(batch.P_0)], out)
 
+    def behind(self, values: Float[np.ndarray, "n"]) -> Problem:
+        """The problem at the pressures that are replayed at `values`: what acts behind
+        them, friction and sensors, is fitted at a small part of the cost.
+        """
+        batch, at = self.batch, jnp.asarray(values)
+        P = self._real(run_pressures(self.model, at, filled(batch)))
+        windows = batch.windows._replace(P_a1=P[0], P_a2=P[1])
+        return replace(self, batch=batch._replace(windows=windows), simulate=False)
+
     def _real(self, found: PyTree) -> PyTree:
         """What was found of the windows, without those that only fill up."""
         return jax.tree.map(lambda a: np.asarray(a)[: len(self.batch.P_0)], found)
@@ -285,7 +268,7 @@ class Problem:
         """
         batch = self.batch
         if self.blind:
-            return replace(self, batch=self._begun(values)[0])
+            return replace(self, batch=self._begin(values)[0])
         P_0 = batch.P_0 - at.start[:, :2, -1]
         for i, own in enumerate((batch.windows.P_a1, batch.windows.P_a2)):
             if np.isfinite(np.asarray(batch.noise)[i]):

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.columns import Batch, basis
-from hydrojax.identify.estimation.misfit import filled, run_starts
+from hydrojax.identify.estimation.columns import Batch, basis, filled
+from hydrojax.identify.estimation.misfit import run_starts
 from hydrojax.identify.estimation.problem import Problem
 
 

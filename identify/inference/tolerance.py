@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.columns import ParametricRig
-from hydrojax.identify.estimation.misfit import batch_of
+from hydrojax.identify.estimation.columns import ParametricRig, batch_of
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.inference.uncertainty import Uncertainty, curvature
 from hydrojax.identify.preparation.data import prepare_logs

@@ -19,14 +19,11 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.identify.estimation.balance import balanced
+from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.coupled import answer
 from hydrojax.identify.estimation.fit import fit_all
-from hydrojax.identify.estimation.misfit import batch_of
-from hydrojax.identify.estimation.problem import (
-    Problem,
-    free_parameters,
-    in_play,
-)
+from hydrojax.identify.estimation.known import free_parameters
+from hydrojax.identify.estimation.problem import Problem, in_play
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.preparation.noise import (
     CHANNELS,

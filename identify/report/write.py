@@ -10,7 +10,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from hydrojax.errors import InputError
-from hydrojax.identify.report import figures, residuals, traces
+from hydrojax.identify.discovery.effect_file import effect_file
+from hydrojax.identify.report import curves, figures, residuals, traces
 from hydrojax.identify.report.explorer import explorer_data
 from hydrojax.identify.report.headline import grade, headline, loop_verdict
 from hydrojax.identify.results.outcome import (
@@ -27,6 +28,7 @@ from hydrojax.report.text import p_equation, p_text, quantity_text, words
 
 PICTURES = {
     "traces": traces,
+    "curve": curves,
     "error": figures,
     "dependence": residuals,
     "residual": residuals,
@@ -36,7 +38,16 @@ PICTURES = {
 }
 """In the order of the page, with the module of `<name>_figure`, `report_<name>.png`."""
 
-TELLING = ("dependence", "residual", "traces", "error", "parameter", "ranking", "loop")
+TELLING = (
+    "curve",
+    "dependence",
+    "residual",
+    "traces",
+    "error",
+    "parameter",
+    "ranking",
+    "loop",
+)
 """The pictures, the most telling first."""
 
 
@@ -163,6 +174,7 @@ def _described(name: str, outcome: Outcome) -> tuple[str, str]:
     """Alternative text and caption of a figure."""
     return {
         "traces": traces.traces_said,
+        "curve": curves.curves_said,
         "error": _error_said,
         "dependence": _dependence_said,
         "residual": _residual_said,
@@ -273,7 +285,8 @@ def report_page(
 
 
 def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None:
-    """Write report.json, report.html, the figures and rig.toml into `folder`.
+    """Write report.json, report.html, the figures and rig.toml into `folder`, and
+    my_effects.py where curves were found.
 
     All is made before the first file appears; a report that stands there is replaced,
     and files that are not a report's stay.
@@ -287,6 +300,8 @@ def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None
     files = {f"report_{p.name}.png": p.png for p in shown}
     files["report.html"] = report_page(outcome, shown, made).encode()
     files["report.json"] = (text + "\n").encode()
+    if outcome.curves:
+        files["my_effects.py"] = effect_file(outcome.rig, outcome.curves).encode()
     if outcome.rig_file:
         files["rig.toml"] = outcome.rig_file.encode()
     write_all(folder, files, obsolete=[f"report_{p}.png" for p in PICTURES])

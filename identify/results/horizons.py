@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from hydrojax.identify.estimation.columns import Batch, ParametricRig
-from hydrojax.identify.estimation.misfit import filled
+from hydrojax.identify.estimation.columns import Batch, ParametricRig, filled
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import Horizon

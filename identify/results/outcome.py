@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.identify.checking.words import Finding
+from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.identify.tracing.criteria import Criteria
 
 
@@ -239,7 +240,8 @@ class Outcome:
     the rig file with the identified values and the effects found; `values` are
     all parameters by name, SI, as stored; `criteria` the thresholds that decided;
     `inputs` what looks wrong with rig file and logs. `validate_logs` are empty where
-    none were given: errors are then those of the fitted logs. `files` are the logs.
+    none were given: errors are then those of the fitted logs. `files` are the logs;
+    `curves` what was found beside the known effects, where it was asked for.
     """
 
     command: str
@@ -265,6 +267,7 @@ class Outcome:
     criteria: Criteria = Criteria()
     inputs: tuple[Finding, ...] = ()
     files: tuple[LogFile, ...] = ()
+    curves: tuple[FoundCurve, ...] = ()
 
     @property
     def explained_share(self) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.identify.results.outcome import (
     ChannelErrors,
     FoundEffect,
@@ -36,6 +37,7 @@ def report_json(outcome: Outcome) -> dict[str, Any]:
         "parameters": {n: _parameter(p) for n, p in o.parameters.items()},
         "channels": {n: _channel(c) for n, c in o.channels.items()},
         "effects": [_effect(e) for e in o.effects],
+        "curves": [_curve(c) for c in o.curves],
         "candidates": [asdict(c) for c in o.candidates],
         "unexplained": [_unexplained(u) for u in o.unexplained],
         "closed_loop": [_loop(c) for c in o.loops],
@@ -78,6 +80,13 @@ def _effect(e: FoundEffect) -> dict[str, Any]:
         "betrayed_by": e.residual_axis,
         "share": e.share,
     }
+
+
+def _curve(c: FoundCurve) -> dict[str, Any]:
+    own = asdict(c)
+    del own["source"]
+    own["extrapolated"] = [s < c.seen[0] or s > c.seen[1] for s in c.s.tolist()]
+    return own
 
 
 def _channel(c: ChannelErrors) -> dict[str, Any]:

@@ -10,8 +10,8 @@ import numpy as np
 
 from hydrojax.effects import EFFECTS
 from hydrojax.identify.checking.words import Finding
+from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import FitPoint
-from hydrojax.identify.estimation.misfit import batch_of
 from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.horizons import horizons_of

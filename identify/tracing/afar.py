@@ -60,7 +60,8 @@ def from_afar(
     they are and back at their starts (a model that lacks an effect drives them far
     off), and rated by what a linear step of all that is free leaves. From the best
     along the grids a few steps of a fit follow. What acts on the pressures is rated by
-    the flow balances at the measured ones, whatever its grid; the rest by a replay.
+    the flow balances at the measured ones, whatever its grid; the rest by force and
+    sensors at the pressures that are replayed.
     Nothing is asked where nothing stands above the noise, or where a candidate's score
     at zero accounts for all of it.
 
@@ -116,9 +117,14 @@ def _replays(
     weights = np.where(np.isfinite(noise), state.point.weights, np.inf)
     batch = thinned(problem.batch, own.start_windows)._replace(noise=weights)
     few = replace(problem, batch=batch)
+    if problem.sees_pressures:
+        few = few.behind(state.point.values)
+    batch = few.batch
 
     def evaluate(values: Values, free: Sequence[str]) -> Linear:
         slots = few.slots(free)
+        if not few.simulate:
+            slots, free = (0, slots[1]), few.side(free, False)
         columns = slot_names(few.model, tuple(free), slots)
         gram = few.evaluate(values, basis(few.model, tuple(free), slots), batch).gram
         return Linear.of(few, values, columns, np.sum(gram, axis=0))

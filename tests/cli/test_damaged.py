@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.damage import __main__ as damage
-from benchmarks.damage import fuzz, readers
+from benchmarks.damage import doors, fuzz, readers
 from benchmarks.damage.mutations import damaged_log, damaged_rig
 from benchmarks.damage.samples import samples
 from hydrojax import units
@@ -264,7 +264,7 @@ def test_every_reader_answers_or_refuses(sound, tmp_path):
         for seed in range(10**6, 10**6 + 150)
     ]
     assert not [found for found in faults if found[2]]
-    assert len({name for _, name, _ in faults}) == len(readers.READERS)
+    assert len({name for _, name, _ in faults}) == len(doors.READERS)
 
 
 def test_a_reader_at_fault_is_found(sound, tmp_path, monkeypatch):
@@ -277,12 +277,12 @@ def test_a_reader_at_fault_is_found(sound, tmp_path, monkeypatch):
 
 def test_what_fuzzing_kept_is_read_or_refused(sound, tmp_path):
     table = fuzz.kept()
-    assert set(table) <= set(readers.READERS) and table["rig.toml"]
+    assert set(table) <= set(doors.READERS) and table["rig.toml"]
     assert fuzz.CORPUS.stat().st_size < 2**18
     for kind, contents in table.items():
         for content in contents:
             (tmp_path / kind).write_bytes(content)
-            assert not readers.fault_of(readers.READERS[kind][1], tmp_path / kind)
+            assert not doors.fault_of(doors.READERS[kind][1], tmp_path / kind)
 
 
 def test_fuzzing_keeps_what_reaches_something_new(sound, tmp_path):

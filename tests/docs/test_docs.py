@@ -94,15 +94,35 @@ def test_the_api_pages_hold(site, name):
     assert f'id="{name}"' in text
 
 
+SIDEWAYS = (
+    "[...document.querySelectorAll('.md-content *')].filter(e => e.clientWidth && "
+    "e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).overflowX != 'visible')"
+    ".map(e => e.textContent.slice(0, 60))"
+)
+"""What a page has to be scrolled sideways for, inside frames of its own."""
+
+
 def test_pages_fit_the_screen(site, tmp_path):
-    """A phone's and a desk's: nothing goes sideways, and no picture is missing."""
+    """A phone's and a desk's: nothing goes sideways, and no picture is missing. On a
+    phone, code and the widest tables do inside their frames.
+    """
     browser = Browser(tmp_path)
+    names = ("index", "first_report", "closed_loop", "reference/effects",
+             "reference/report", "reference/api")  # fmt: skip
     try:
-        for name in ("index", "first_report", "reference/effects", "reference/api"):
+        for name in names:
             for width in (400, 1600):
                 seen = Page(browser, site / f"{name}.html", width)
                 assert seen.overflow() <= 0, (name, width)
+                assert width == 400 or seen.ask(SIDEWAYS) == [], name
             assert all(alt and wide for alt, wide in seen.pictures()), name
+        seen = Page(browser, site / "index.html", 1600)
+        for wanted, scheme in (("dark", "slate"), ("light", "default")):
+            media = [{"name": "prefers-color-scheme", "value": wanted}]
+            seen.call("Emulation.setEmulatedMedia", features=media)
+            seen.settle()
+            got = seen.ask("document.body.getAttribute('data-md-color-scheme')")
+            assert got == scheme
     finally:
         browser.close()
 

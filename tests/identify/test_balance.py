@@ -15,11 +15,8 @@ from hydrojax.identify.api import applicable
 from hydrojax.identify.case import Case, Preparation
 from hydrojax.identify.estimation.balance import balance_at, balanced, descend
 from hydrojax.identify.estimation.fit import FitPoint
-from hydrojax.identify.estimation.problem import (
-    Problem,
-    free_effect,
-    free_parameters,
-)
+from hydrojax.identify.estimation.known import free_effect, free_parameters
+from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation import data as preparation
 from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs

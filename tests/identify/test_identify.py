@@ -24,7 +24,8 @@ from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation import starts
 from hydrojax.identify.estimation.columns import basis
 from hydrojax.identify.estimation.fit import fit_all
-from hydrojax.identify.estimation.problem import Free, Problem, free_parameters
+from hydrojax.identify.estimation.known import Free, free_parameters
+from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.estimation.solve import minimise
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
 from hydrojax.identify.preparation import segments, windows

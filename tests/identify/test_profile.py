@@ -26,7 +26,7 @@ class Valley:
         scale = np.array([1.0, 1.0])
 
     def __init__(self):
-        from hydrojax.identify.estimation.problem import Free
+        from hydrojax.identify.estimation.known import Free
 
         self.free = {"a": Free(0.5, 0.0, 4.0), "b": Free(0.0, -50.0, 50.0)}
 
@@ -74,7 +74,7 @@ class Mean:
         scale = np.array([1.0])
 
     def __init__(self, y, sigma):
-        from hydrojax.identify.estimation.problem import Free
+        from hydrojax.identify.estimation.known import Free
 
         self.y, self.sigma = y, sigma
         self.free = {"a": Free(0.0, -50.0, 50.0)}

@@ -1,0 +1,284 @@
+"""`python -m benchmarks.trace.discover FOLDER`: curves for effects that are not known.
+
+Three tables: effects outside the vocabulary (traced with all that is known first),
+effects of the vocabulary that are withheld (only the declared model is fitted first),
+and rigs that lack nothing, for which no curve may be offered. Truths are those of this
+benchmark's own plant.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from .cases import LOGS, CaseSpec, write_cases
+from .catalogue import OUTSIDE
+from .score import append, read_results
+
+Row = dict[str, Any]
+Law = Callable[[np.ndarray], np.ndarray]
+
+WITHHELD = (
+    "stribeck",
+    "viscous_friction",
+    "pressure_friction",
+    "position_friction",
+    "friction_drift",
+    "payload_inertia",
+    "gravity_load",
+    "external_leakage",
+    "internal_leakage",
+    "entrained_air",
+    "valve_bias",
+    "valve_deadband",
+)
+"""Effects that are a curve over one signal at one place."""
+
+SIZES = (1.0, 3.0)
+"""Sizes at which effects are hidden, in turn."""
+
+
+def laws(name: str, e: Mapping[str, float], rig: Mapping[str, float]) -> dict[str, Law]:
+    """The truth as a curve, by the names of the terms that can be it; SI."""
+    if name == "stribeck":
+        return {"level_over_v": lambda v: e["k_st"] * np.exp(-((v / e["v_s"]) ** 2))}
+    if name == "viscous_friction":
+        return {
+            "friction_over_v": lambda v: e["b"] * v,
+            "level_over_v": lambda v: e["b"] * np.abs(v),
+        }
+    if name == "pressure_friction":
+        return {"level_over_P_mean": lambda P: e["kappa"] * P}
+    level = (rig["k_cp"] + rig["k_cn"]) / 2
+    if name == "position_friction":
+        angle = 2 * np.pi / e["wavelength"]
+        return {"level_over_x": lambda x: e["a"] * level * np.sin(angle * x)}
+    if name == "friction_drift":
+        return {"level_over_t": lambda t: e["a"] * level * np.expm1(-t / e["tau"])}
+    if name == "side_load":
+        turn = 2 * np.pi * e["hertz"]
+        return {"level_over_t": lambda t: e["a"] * level * np.abs(np.sin(turn * t))}
+    if name == "payload_inertia":
+        return {"force_over_a": lambda a: -e["m"] * a}
+    if name == "gravity_load":
+        return {"force_over_x": lambda x: e["w"] * np.sin(x / 0.085 + e["psi_0"])}
+    if name == "end_cushion":
+        return {"force_over_x": lambda x: -e["k"] * np.maximum(x - e["x_from"], 0.0)}
+    if name == "external_leakage":
+        return {"flow_over_P": lambda P: -e["c_el"] * (P - 2.5e5)}
+    if name == "internal_leakage":
+        return {"flow_across_over_P_net": lambda P: e["c_il"] * P}
+    if name == "entrained_air":
+
+        def air(P: np.ndarray) -> np.ndarray:
+            p, p_0, n = np.maximum(P, 0.0) + 101_325.0, 101_325.0, e["n"]
+            return e["alpha"] * (p_0 / p) ** (1 / n) / (n * p)
+
+        return {"compliance_over_P": air}
+    if name == "valve_bias":
+        # The hidden plant's command is a share of full opening at 10 V.
+        return {"command_over_u": lambda u: 0 * u + 10 * e["u_0"]}
+    return {}
+
+
+def plan(outside: int, withheld: int, nothing: int) -> list[CaseSpec]:
+    """So many cases of each kind."""
+    both = [(n, s) for s in SIZES[::-1] for n in OUTSIDE]
+    known = [(n, s) for s in SIZES[::-1] for n in WITHHELD]
+    return [
+        *(CaseSpec(f"outside-{n}-{s:g}", "outside", {n: s}) for n, s in both[:outside]),
+        *(
+            CaseSpec(f"withheld-{n}-{s:g}", "withheld", {n: s})
+            for n, s in known[:withheld]
+        ),
+        *(CaseSpec(f"nothing-{i}", "nothing") for i in range(nothing)),
+    ]
+
+
+def run(folder: Path, kind: str, traced: bool) -> Row:
+    """One case: fit or trace, then the curves, beside the truth."""
+    from hydrojax.identify import api
+    from hydrojax.identify.case import open_case
+    from hydrojax.identify.discovery.discover import searched
+
+    truth = json.loads((folder / "truth.json").read_text())
+    fit, check = [folder / name for name in LOGS[:2]], [folder / LOGS[2]]
+    began = time.process_time()
+    case = open_case(folder / "rig.toml", fit, check)
+    first = api.trace_case(case) if traced else api.identify(case, starts=1)
+    spent = [time.process_time() - began]
+    end, outcome = searched(case, first)
+    spent.append(time.process_time() - began - spent[0])
+    state = end.state
+    after = state.check.rms(state.check.errors_at(state.point.values))
+    seen = np.isfinite(state.noise)
+    return {
+        "kind": kind,
+        "sizes": truth["sizes"],
+        "verdict": first.verdict,
+        "named": [e.name for e in first.effects],
+        "before": max(c.after / c.noise for c in first.channels.values()),
+        "after": float(np.max((after / state.noise)[seen])),
+        "curves": [
+            {
+                "name": c.name,
+                "p_value": c.p_value,
+                "law": c.law,
+                "share": c.share,
+                "alike": c.alike,
+                "inside": inside(end, c, truth),
+            }
+            for c in outcome.curves
+        ],
+        "parameters": intervals(end, truth["rig"]),
+        "seconds": spent,
+    }
+
+
+def inside(end: Any, found: Any, truth: Mapping[str, Any]) -> float | None:
+    """Share of the samples at which the truth lies in a curve's 95 % band; None where
+    the truth is no such curve. Of both only what is the curve's own.
+    """
+    from hydrojax.effects.splines import bspline
+    from hydrojax.identify.discovery.smooth import covariance
+
+    of = [law for name, e in truth["effects"].items()
+          for term, law in laws(name, e, truth["rig"]).items()
+          if term == found.name]  # fmt: skip
+    if not of:
+        return None
+    curve = next(c for c in end.curves if c.laid.term.name == found.name)
+    knots, size = np.asarray(curve.laid.effect.knots), curve.laid.term.size
+    V, part = covariance(end.columns[found.name], curve.smooth)
+    s = np.quantile(found.rug, np.linspace(0.01, 0.99, 200))
+    B = np.asarray(bspline(s, knots))
+    c = np.linalg.pinv(B, rcond=1e-6) @ of[0](s) / size
+    want = of[0](s) - size * B @ (c - part @ c)
+    std = size * np.sqrt(np.maximum(np.sum(B @ V * B, axis=1), 0.0))
+    return float(np.mean(np.abs(np.interp(s, found.s, found.y) - want) < 1.96 * std))
+
+
+def intervals(end: Any, rig: Mapping[str, float]) -> dict[str, float]:
+    """How many standard deviations each of the rig's parameters lies off its truth,
+    with the curves in place.
+    """
+    from dataclasses import replace
+
+    from hydrojax.identify.discovery.search import known_of
+    from hydrojax.identify.inference.uncertainty import estimate_uncertainty
+
+    state = end.state
+    known = known_of(state.problem, end.curves, state.free)
+    # Smoothing counts as what is known of each coefficient by itself.
+    prior = {
+        n: float(1 / np.sqrt(max(known.curvature[i, i], 1e-30)))
+        for i, n in enumerate(known.names)
+    }
+    free = {
+        n: replace(f, prior=prior.get(n, f.prior))
+        for n, f in state.problem.free.items()
+    }
+    problem = replace(state.problem, free=free)
+    found = estimate_uncertainty(problem, state.point, state.free)
+    return {
+        n: abs(state.named[n] - v) / std
+        for n, v in rig.items()
+        if (std := found.std.get(n)) is not None and n not in found.unidentifiable
+    }
+
+
+def report(rows: Sequence[Row]) -> str:
+    """The tables, as Markdown."""
+    out = []
+    for kind in ("outside", "withheld", "nothing"):
+        own = [r for r in rows if r["kind"] == kind and "after" in r]
+        if not own:
+            continue
+        out += [
+            f"\n## {kind}: {len(own)} cases\n",
+            "| case | verdict | named | error/noise | with curves | curves | in band |"
+            " parameters in 95 % | CPU s |",
+            "|---|---|---|---|---|---|---|---|---|",
+        ]
+        for r in own:
+            curves = "; ".join(
+                f"{c['name']} ({c['law']})" if c["law"] else c["name"]
+                for c in r["curves"]
+            )
+            bands = "; ".join(
+                "–" if c["inside"] is None else f"{c['inside']:.2f}"
+                for c in r["curves"]
+            )
+            z = np.array(list(r["parameters"].values()))
+            out.append(
+                f"| {r['case']} | {r['verdict']} | {', '.join(r['named']) or '–'} | "
+                f"{r['before']:.2f} | {r['after']:.2f} | {curves or '–'} | "
+                f"{bands or '–'} | {np.sum(z < 1.96)}/{len(z)} | "
+                f"{' + '.join(f'{s:.0f}' for s in r['seconds'])} |"
+            )
+        bands = [c["inside"] for r in own for c in r["curves"]]
+        told = [b for b in bands if b is not None]
+        z = np.array([v for r in own for v in r["parameters"].values()])
+        out += [
+            "",
+            f"Offered a curve: {sum(bool(r['curves']) for r in own)} of {len(own)}. "
+            f"Error up to 1.1 × noise: {sum(r['after'] <= 1.1 for r in own)}. "
+            f"Verdict `explained`: {sum(r['verdict'] == 'explained' for r in own)}. "
+            + (
+                f"Truth in the band at {np.mean(told):.0%} of the samples, worst "
+                f"{min(told):.0%} ({len(told)} curves). "
+                if told
+                else ""
+            )
+            + f"Parameters in their 95 % interval: {np.mean(z < 1.96):.0%}.",
+        ]
+    return "\n".join(out) + "\n"
+
+
+def main(
+    folder: Annotated[Path, typer.Argument(help="of cases and results")],
+    outside: Annotated[int, typer.Option(help="effects outside the vocabulary")] = 22,
+    withheld: Annotated[int, typer.Option(help="effects withheld from it")] = 24,
+    nothing: Annotated[int, typer.Option(help="rigs that lack nothing")] = 8,
+    fitted: Annotated[
+        bool,
+        typer.Option(help="fit the declared model alone before effects outside"),
+    ] = False,
+    cache: Annotated[
+        Path | None, typer.Option(help="folder for compiled programs")
+    ] = None,
+) -> None:
+    """Look for curves on rigs with known truths; a killed run goes on where it was."""
+    from hydrojax.jax_setup import set_up_jax
+
+    set_up_jax(cache)
+    specs = plan(outside, withheld, nothing)
+    results = folder / "discover.jsonl"
+    known = {row["case"] for row in read_results(results)} if results.exists() else ()
+    new = [s for s in specs if not (folder / s.name / "truth.json").exists()]
+    if new:
+        write_cases(new, folder)
+    for spec in specs:
+        if spec.name in known:
+            continue
+        print(spec.name, file=sys.stderr)
+        try:
+            row = run(
+                folder / spec.name, spec.kind, spec.kind == "outside" and not fitted
+            )
+        except Exception as error:  # one bad case must not stop the others
+            row = {"kind": spec.kind, "failed": f"{type(error).__name__}: {error}"}
+        append(results, {"case": spec.name} | row)
+    wanted = {s.name for s in specs}
+    print(report([r for r in read_results(results) if r["case"] in wanted]))
+
+
+if __name__ == "__main__":
+    typer.run(main)

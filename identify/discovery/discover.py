@@ -1,0 +1,104 @@
+"""From a result to the curves that it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from hydrojax.identify.case import Case
+from hydrojax.identify.discovery.free_form import FORMS
+from hydrojax.identify.discovery.laid import laid_over
+from hydrojax.identify.discovery.search import Search, search
+from hydrojax.identify.discovery.shown import shown
+from hydrojax.identify.estimation.columns import room_of
+from hydrojax.identify.estimation.fit import FitPoint, reweighted
+from hydrojax.identify.estimation.known import COULOMB, free_effect, free_parameters
+from hydrojax.identify.estimation.problem import Problem, in_play
+from hydrojax.identify.preparation.data import Data
+from hydrojax.identify.preparation.noise import CHANNELS
+from hydrojax.identify.results.outcome import Outcome
+from hydrojax.identify.tracing.state import Tracing
+from hydrojax.parameters import specs
+from hydrojax.plant.replay import friction_memory
+from hydrojax.plant.rig import Rig, add
+from hydrojax.rigfile.build import build_rig, effects_of
+
+
+def begun(
+    case: Case, outcome: Outcome, progress: Callable[[str], None] = lambda _: None
+) -> Search:
+    """A search that stands where a fit or a trace ended, every free form dormant."""
+    found = [e.name for e in outcome.effects]
+    rig = add(build_rig(case.spec, found), [form() for form in FORMS])
+    free = free_parameters(case.spec)
+    for name, effect in effects_of(found, case.spec).items():
+        free |= free_effect(name, specs(effect))
+    noise = case.fit.noise.copy()
+    for i, name in enumerate(CHANNELS):
+        if name in outcome.channels:
+            noise[i] = outcome.channels[name].noise
+    problem = Problem.of(rig, free, replace(case.fit, noise=noise), case.criteria)
+    check = Problem.of(rig, free, replace(case.check, noise=noise), case.criteria)
+    check = replace(check, least=room_of(problem.batch))
+    use = in_play(problem, case.fit)
+    every = dict(free)
+    for form in FORMS:
+        every |= free_effect(form.name, specs(form))
+    k_cp, k_cn = (outcome.values.get(n) for n in COULOMB)
+    alike = k_cp is not None and k_cn is not None and np.isclose(k_cp, k_cn, rtol=1e-5)
+    problem = replace(problem, free=every, symmetric=bool(alike))
+    values = np.array(problem.model.values)
+    for i, name in enumerate(problem.model.names):
+        values[i] = outcome.values.get(name, values[i])
+    problem = replace(problem, batch=problem.started(values))
+    rms = problem.rms(problem.errors_at(values))
+    weights = reweighted(noise, rms, case.criteria.reweighted_above)
+    point = FitPoint(values, weights, 0, True)
+    return Search(Tracing(problem, check, {}, use, point, progress))
+
+
+def samples_of(data: Data, rig: Rig) -> dict[str, Float[np.ndarray, "rows"]]:
+    """What prepared logs hold of every signal that a curve may be over, SI.
+
+    Pressures are the measured ones; the bristle's deflection is the rig's.
+    """
+    w = data.windows
+    lead = w.x.shape[1] - w.measured.shape[1]
+
+    def rows(y) -> Float[np.ndarray, "rows"]:
+        return np.asarray(y)[:, lead:].ravel()
+
+    P_1, P_2 = rows(w.P_a1), rows(w.P_a2)
+    z = friction_memory(rig, data.motion).within(w).z
+    out = {"v": rows(w.v), "x": rows(w.x), "a": rows(w.a), "t": rows(w.t), "z": rows(z)}
+    out |= {"P_mean": (P_1 + P_2) / 2, "P_net": P_2 - P_1}
+    if data.driven_by == "u":
+        out |= {"u": rows(w.u), "P_a1": P_1, "P_a2": P_2, "P": np.r_[P_1, P_2]}
+    return out
+
+
+def searched(
+    case: Case, outcome: Outcome, progress: Callable[[str], None] = lambda _: None
+) -> tuple[Search, Outcome]:
+    """A fit or a trace with the curves that it lacks, by the rule of the named effects.
+
+    Returns:
+        Where the search ended, and the outcome with its curves.
+    """
+    start = begun(case, outcome, progress)
+    rig = start.state.problem.model.rig
+    fit, check = (samples_of(data, rig) for data in (case.fit, case.check))
+    laid = laid_over(fit)
+    end = search(start, laid)
+    curves = shown(end, start, case, fit, check)
+    notes = outcome.notes
+    if not curves:
+        notes = (
+            *notes,
+            f"{len(laid)} curves, over every signal at every place, were tried for "
+            "what the known effects leave: none lowers the validation error enough",
+        )
+    return end, replace(outcome, curves=curves, notes=notes)

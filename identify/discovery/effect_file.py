@@ -1,0 +1,278 @@
+"""A curve that was found as a Python file that `--effects` takes as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from hydrojax import units
+from hydrojax.identify.discovery.formula import Formula
+from hydrojax.identify.discovery.free_form import Term
+from hydrojax.identify.results.curve import FoundCurve
+
+BASES = {
+    "command": "CommandChannel",
+    "flow": "FlowEffect",
+    "compliance": "ComplianceEffect",
+    "level": "LevelEffect",
+    "friction": "FrictionForce",
+    "force": "ForceEffect",
+}
+METHODS = {
+    "command": ("step(self, memory, u, h)", "memory, u + {}"),
+    "compliance": ("compliance(self, P)", "{}"),
+    "level": ("level(self, at, base)", "{}"),
+    "friction": ("force(self, at)", "{}"),
+    "force": ("force(self, at)", "{}"),
+}
+SIGNALS = {
+    **{name: f"at.{name}" for name in ("v", "x", "a", "t", "z")},
+    "u": "u",
+    "P": "P",
+    "P_mean": "(at.P_a1 + at.P_a2) / 2",
+    "P_net": "at.P_a2 - at.P_a1",
+}
+FLOWING = {"v": "at.v", "u": "spool", "P_net": "at.P_a2 - at.P_a1"}
+AXES = {"P_mean": "P_a1 + P_a2", "P_net": "P_a1 - P_a2", "P": "P_a1 + P_a2"}
+"""What a residual is drawn against, by signal, where it is not the signal."""
+
+NAMES = ("logaddexp(", "exp(", "sign(", "maximum(", "sin(", "cos(", "tanh(", "abs(")
+"""What a form's code calls."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """What is written: a term, its curve, and the formula that stands for it.
+
+    Attributes:
+        term: place and signal.
+        knots: of the curve, and its `coefficients`, SI.
+        seen: range of the signal on which it rests.
+        formula: in its place, if one does as well.
+        command: the command's unit.
+    """
+
+    term: Term
+    knots: Float[np.ndarray, "n+4"]
+    coefficients: Float[np.ndarray, "n"]
+    seen: tuple[float, float]
+    formula: Formula | None
+    command: str = "V"
+
+    @property
+    def unit(self) -> str:
+        """Of the curve."""
+        return units.with_command(self.term.of, self.command)
+
+    @property
+    def signal_unit(self) -> str:
+        """Of its signal."""
+        return units.with_command(self.term.unit, self.command)
+
+    @property
+    def narrow(self) -> float:
+        """Over how much of the signal a corner is rounded."""
+        return float(f"{(self.seen[1] - self.seen[0]) / 50:.3g}")
+
+    def says(self) -> str:
+        """The formula with its values: `-3.1e4 N/(m/s)^2 * abs(v) * v`; or ""."""
+        if self.formula is None:
+            return ""
+        f, by = self.formula, f" * {self.term.factor}" if self.term.factor else ""
+        parts = []
+        for a, power, code in zip(
+            f.amplitudes, f.form.powers, f.form.code, strict=True
+        ):
+            text = _with_signal(code, self.term.signal)
+            text = text.replace("{narrow}", f"{self.narrow:.3g} {self.signal_unit}")
+            if f.shape is not None:
+                text = text.replace("s_0", f"{f.shape:.4g} {self.signal_unit}")
+            unit = over(self.unit, self.signal_unit, power)
+            parts.append(f"{a:.4g} {unit}{by} * {text}")
+        return " + ".join(parts).replace("+ -", "- ")
+
+
+def _with_signal(code: str, signal: str) -> str:
+    """A form's code with the signal's name for `s`."""
+    out, word = "", ""
+    for letter in f"{code}\0":
+        if letter.isalnum() or letter in "_.":
+            word += letter
+            continue
+        out += signal if word == "s" else word
+        out += letter
+        word = ""
+    return out[:-1]
+
+
+def effect_file(rig: str, curves: Sequence[FoundCurve]) -> str:
+    """The text of a Python file that defines an effect for each curve."""
+    names = {"Array", "param"} | {BASES[c.place] for c in curves}
+    if any("* curve(" in c.source for c in curves):
+        names.add("curve")
+    lines = [
+        f'"""What the logs of {rig} hold beside the known effects.',
+        "",
+        "Found by `hydrojax.discover`; for `hydrojax trace --effects`.",
+        '"""',
+        "",
+        "import jax.numpy as jnp",
+        "",
+        f"from hydrojax.effects import {', '.join(sorted(names, key=str.lower))}",
+    ]
+    return "\n".join(lines) + "\n" + "".join(c.source for c in curves)
+
+
+def effect_source(law: Law, name: str) -> str:
+    """The class of an effect of this name, in Python."""
+    term = law.term
+    title = "".join(word.capitalize() for word in name.split("_"))
+    by = f" times {term.factor}" if term.factor else ""
+    needs = '("u",)' if term.place in ("command", "flow", "compliance") else '("F",)'
+    low, high = (f"{end:.4g}" for end in law.seen)
+    said = f"    {law.says()}" if law.formula else "    A curve, as found."
+    return "\n".join(
+        [
+            "",
+            "",
+            f"class {title}({BASES[term.place]}):",
+            f'    """At {term.place}{by}, over {term.signal}, in {law.unit}.',
+            "",
+            said,
+            "",
+            f"    It rests on {term.signal} from {low} to {high} {law.signal_unit};",
+            "    beyond that it is extrapolated.",
+            '    """',
+            "",
+            f'    name = "{name}"',
+            f"    needs = {needs}",
+            f'    residual_axis = "{AXES.get(term.signal, term.signal)}"',
+            *_declared(law),
+            "",
+            *_law(law),
+            "",
+        ]
+    )
+
+
+def _declared(law: Law) -> list[str]:
+    """The parameters of an effect."""
+    f, term = law.formula, law.term
+    if f is None:
+        return [
+            "    amount: Array = param(",
+            '        "1", 0.0, -5.0, 5.0, "of the curve as found", strength=True, '
+            "size=1.0",
+            "    )",
+            *_numbers("KNOTS", law.signal_unit, law.knots),
+            *_numbers("COEFFICIENTS", law.unit, law.coefficients),
+        ]
+    lines = []
+    for i, (a, power) in enumerate(zip(f.amplitudes, f.form.powers, strict=True)):
+        size = float(f"{max(abs(a), 1e-300):.3g}")
+        reach = float(f"{10 * size:.3g}")
+        unit = over(term.of, term.unit, power)
+        lines += [
+            f"    a_{i + 1}: Array = param(",
+            f'        "{unit}", 0.0, {-reach!r}, {reach!r}, "amplitude",',
+            f"        strength=True, size={size!r},",
+            "    )",
+        ]
+    if f.shape is not None:
+        at = float(f"{f.shape:.4g}")
+        low, high = at / 4, at * 4
+        if f.form.signed:
+            quarter = (law.seen[1] - law.seen[0]) / 4
+            low, high = at - quarter, at + quarter
+        low, high = (float(f"{end:.4g}") for end in (low, high))
+        lines.append(
+            f'    s_0: Array = param("{term.unit}", {at!r}, {low!r}, {high!r}, "shape")'
+        )
+    return lines
+
+
+def _numbers(name: str, unit: str, values: Float[np.ndarray, "n"]) -> list[str]:
+    """An array as a tuple of the class."""
+    rows = [
+        "        " + ", ".join(f"{v:.8g}" for v in values[i : i + 5]) + ","
+        for i in range(0, len(values), 5)
+    ]
+    return [f"    {name} = (  # {unit}", *rows, "    )"]
+
+
+def over(unit: str, by: str, power: int) -> str:
+    """A unit over a power of another, as a parameter writes it."""
+    (up, down), (more, less) = _parts(unit), _parts(by)
+    up, down = up + less * power, down + more * power
+    sizes = {base: up.count(base) - down.count(base) for base in (*up, *down)}
+    above, below = (
+        [base if n == 1 else f"{base}^{n}"
+         for base, n in ((b, sign * n) for b, n in sizes.items()) if n > 0]
+        for sign in (1, -1)
+    )  # fmt: skip
+    text = "*".join(above) or "1"
+    if not below:
+        return text
+    return f"{text}/{below[0]}" if len(below) == 1 else f"{text}/({'*'.join(below)})"
+
+
+def _parts(unit: str) -> tuple[list[str], list[str]]:
+    """What a unit has above and below its stroke, as often as it has it."""
+    out: tuple[list[str], list[str]] = ([], [])
+    for side, text in zip(out, unit.split("/"), strict=False):
+        for one in text.strip("()").split("*"):
+            base, _, n = one.partition("^")
+            side.extend([base] * int(n or 1) if base != "1" else [])
+    return out
+
+
+def _law(law: Law) -> list[str]:
+    """The method of an effect, and the curve that it calls."""
+    if law.formula is None:
+        body = "self.amount * curve(s, self.KNOTS, self.COEFFICIENTS)"
+    else:
+        terms = (
+            f"self.a_{i + 1} * ({_jax(code.format(narrow=law.narrow))})"
+            for i, code in enumerate(law.formula.form.code)
+        )
+        body = " + ".join(terms)
+    lines = ["    def along(self, s):", f"        return {body}", ""]
+    if law.term.place == "flow":
+        return [*lines, *_flow(law.term)]
+    head, out = METHODS[law.term.place]
+    factor = "at.v * " if law.term.factor == "v" else ""
+    call = f"{factor}self.along({SIGNALS[law.term.signal]})"
+    return [*lines, f"    def {head}:", f"        return {out.format(call)}"]
+
+
+def _jax(code: str) -> str:
+    """A law's Python with the names that an effect has."""
+    for name in NAMES:
+        code = code.replace(name, f"jnp.{name}")
+    code = code.replace("logaddjnp.exp(", "logaddexp(")
+    return code.replace("s_0", "self.s_0").replace(" pi ", " jnp.pi ")
+
+
+def _flow(term: Term) -> list[str]:
+    out = ["    def flow(self, at):"]
+    if term.factor or term.signal == "u":
+        out += [
+            "        way = at.opening",
+            "        spool = way[0] if len(way) == 1 else way[0] - way[1]",
+        ]
+    each = []
+    for i, share in enumerate(term.share):
+        factor = ""
+        if term.factor:
+            way = "spool" if (term.factor == "filling") == (i == 0) else "-spool"
+            factor = f"jnp.maximum({way}, 0.0) * "
+        signal = FLOWING.get(term.signal, f"at.P_a{i + 1}")
+        times = {1.0: "", -1.0: "-"}.get(share, f"{share!r} * ")
+        each.append(f"{times}{factor}self.along({signal})")
+    return [
+        *out,
+        f"        return (\n            {each[0]},\n            {each[1]},\n        )",
+    ]

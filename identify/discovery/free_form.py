@@ -1,0 +1,271 @@
+"""Effects of free form: a curve over one signal at each place of the signal path.
+
+Each is linear in its coefficients and absent at zero, so that replay, fit and scores
+take it as any other effect. Which signal a curve is over, what multiplies it, and its
+knots are arrays: one compiled program serves every signal of a place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hydrojax.effects.splines import bspline
+from hydrojax.parameters import param, specs
+from hydrojax.plant.effect import (
+    CommandChannel,
+    ComplianceEffect,
+    Effect,
+    FlowEffect,
+    ForceEffect,
+    FrictionForce,
+    LevelEffect,
+)
+
+COUNT = 14
+"""Coefficients of a curve."""
+
+
+def _coefficient() -> Any:
+    return param("1", 0.0, -1e4, 1e4, "coefficient", strength=True, size=1.0)
+
+
+def _array(default: Any) -> Any:
+    def default_array() -> Array:
+        return jnp.asarray(default, float)
+
+    return eqx.field(default_factory=default_array)
+
+
+class FreeForm(Effect):
+    """`size factor(.) curve(signal(.))`, with what both are as arrays.
+
+    `signal` weighs the signals of the place, `factor` 1 and these signals; `knots` are
+    the curve's, in the unit of the signal, `size` the unit of its coefficients, SI.
+    """
+
+    residual_axis = "v"
+    knots: Float[Array, "n+4"] = _array(
+        np.r_[[0.0] * 3, np.linspace(0, 1, 12), [1] * 3]
+    )
+    signal: Float[Array, "signals"] = _array([1.0] + [0.0] * 6)
+    factor: Float[Array, "signals+1"] = _array([1.0] + [0.0] * 7)
+    size: Float[Array, ""] = _array(1.0)
+    c_0: Float[Array, ""] = _coefficient()
+    c_1: Float[Array, ""] = _coefficient()
+    c_2: Float[Array, ""] = _coefficient()
+    c_3: Float[Array, ""] = _coefficient()
+    c_4: Float[Array, ""] = _coefficient()
+    c_5: Float[Array, ""] = _coefficient()
+    c_6: Float[Array, ""] = _coefficient()
+    c_7: Float[Array, ""] = _coefficient()
+    c_8: Float[Array, ""] = _coefficient()
+    c_9: Float[Array, ""] = _coefficient()
+    c_10: Float[Array, ""] = _coefficient()
+    c_11: Float[Array, ""] = _coefficient()
+    c_12: Float[Array, ""] = _coefficient()
+    c_13: Float[Array, ""] = _coefficient()
+
+    def along(self, signals: Sequence[Array | float]) -> Array:
+        """The term where the signals of its place are `signals`."""
+        s = sum(w * y for w, y in zip(self.signal, signals, strict=False))
+        every = (1.0, *signals)
+        times = sum(w * y for w, y in zip(self.factor, every, strict=False))
+        c = jnp.stack([getattr(self, name) for name in specs(self)])
+        return self.size * times * (bspline(jnp.asarray(s), self.knots) @ c)
+
+
+class _OnPiston(FreeForm):
+    """A curve over what friction sees."""
+
+    def at(self, at: Any) -> Array:
+        difference = at.P_a2 - at.P_a1
+        mean = (at.P_a1 + at.P_a2) / 2
+        return self.along((at.v, at.x, at.a, mean, difference, at.t, at.z))
+
+
+class FreeLevel(_OnPiston, LevelEffect):
+    """A curve added to the Coulomb level."""
+
+    name = "free_level"
+
+    def level(self, at, base):
+        """The curve as a level, N."""
+        return self.at(at)
+
+
+class FreeFriction(_OnPiston, FrictionForce):
+    """A curve added to the friction force."""
+
+    name = "free_friction"
+
+    def force(self, at):
+        """The curve as a force, N."""
+        return self.at(at)
+
+
+class FreeForce(_OnPiston, ForceEffect):
+    """A curve added to the force at the load cell."""
+
+    name = "free_force"
+
+    def force(self, at):
+        """The curve as a force, N."""
+        return self.at(at)
+
+
+class FreeFlow(FreeForm, FlowEffect):
+    """A curve of flow into the chambers, `share` of it into each."""
+
+    name = "free_flow"
+    share: Float[Array, "2"] = _array([1.0, 1.0])
+
+    def flow(self, at):
+        """Its flows into chambers 1 and 2, m^3/s."""
+        way = at.opening
+        spool = way[0] if len(way) == 1 else way[0] - way[1]
+        out, into = jnp.maximum(-spool, 0.0), jnp.maximum(spool, 0.0)
+        difference = at.P_a2 - at.P_a1
+        own = ((at.P_a1, into, out), (at.P_a2, out, into))
+        return tuple(
+            share * self.along((P, difference, at.v, at.x, spool, filling, emptying))
+            for share, (P, filling, emptying) in zip(self.share, own, strict=True)
+        )
+
+
+class FreeCompliance(FreeForm, ComplianceEffect):
+    """A curve of compliance over the chamber's pressure."""
+
+    name = "free_compliance"
+
+    def compliance(self, P):
+        """The curve at gauge pressure `P` (Pa), 1/Pa."""
+        return self.along((P,))
+
+
+class FreeCommand(FreeForm, CommandChannel):
+    """A curve added to the command."""
+
+    name = "free_command"
+
+    def step(self, memory, u, h):
+        """The command and the curve of it."""
+        return memory, u + self.along((u,))
+
+
+FORMS: tuple[type[FreeForm], ...] = (
+    FreeCommand,
+    FreeFlow,
+    FreeCompliance,
+    FreeLevel,
+    FreeFriction,
+    FreeForce,
+)
+"""In the order of the signal path."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A place, the signal that its curve is over, and what multiplies the curve.
+
+    Attributes:
+        form: the effect of free form at that place.
+        signal: its name; `factor` that of what multiplies the curve, or "".
+        unit: of the signal, and `of` that of the curve, SI; `{u}` is the command's.
+        which: index of the signal among those of the place.
+        times: index of the factor among 1 and the signals of the place.
+        size: a typical value of the curve, SI.
+        share: of a flow, by chamber.
+    """
+
+    form: type[FreeForm]
+    signal: str
+    which: int
+    unit: str
+    of: str
+    size: float
+    factor: str = ""
+    times: int = 0
+    share: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def place(self) -> str:
+        """Where it acts."""
+        return self.form.place
+
+    @property
+    def name(self) -> str:
+        """What files and reports call it: `level_over_v`, `flow_1_over_P_a1`."""
+        chamber = {(1.0, 0.0): "_1", (0.0, 1.0): "_2", (1.0, -1.0): "_across"}
+        place = f"{self.place}{chamber.get(self.share, '')}"
+        by = f"_per_{self.factor}" if self.factor else ""
+        return f"{place}{by}_over_{self.signal}"
+
+    def laid(self, knots: Float[np.ndarray, "n+4"]) -> FreeForm:
+        """The effect, absent, over these knots."""
+        own = {"share": jnp.asarray(self.share)} if self.form is FreeFlow else {}
+        return self.form(
+            knots=jnp.asarray(knots, float),
+            signal=jnp.asarray(np.eye(7)[self.which]),
+            factor=jnp.asarray(np.eye(8)[self.times]),
+            size=jnp.asarray(self.size, float),
+            **own,
+        )
+
+
+PISTON = {
+    "v": "m/s",
+    "x": "m",
+    "a": "m/s^2",
+    "P_mean": "Pa",
+    "P_net": "Pa",
+    "t": "s",
+    "z": "m",
+}
+"""Signals of the piston, in the order of `_OnPiston.at`, with their units: `P_mean` is
+(P_a1 + P_a2) / 2, `P_net` is P_a2 - P_a1."""
+
+
+def _piston(form: type[FreeForm], names: Sequence[str]) -> list[Term]:
+    order = list(PISTON)
+    return [Term(form, n, order.index(n), PISTON[n], "N", 100.0) for n in names]
+
+
+_BOTH, _FIRST, _SECOND, _ACROSS = (1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (1.0, -1.0)
+
+TERMS: tuple[Term, ...] = (
+    Term(FreeCommand, "u", 0, "{u}", "{u}", 0.1),
+    *(
+        Term(FreeFlow, *signal, "m^3/s", 1e-6, share=share)
+        for signal, share in (
+            (("P_a1", 0, "Pa"), _FIRST),
+            (("P_a2", 0, "Pa"), _SECOND),
+            (("P", 0, "Pa"), _BOTH),
+            (("P_net", 1, "Pa"), _ACROSS),
+            (("v", 2, "m/s"), _ACROSS),
+            (("u", 4, "{u}"), _ACROSS),
+        )
+    ),
+    *(
+        Term(FreeFlow, "P", 0, "Pa", "m^3/(s*{u})", 1e-6, factor, times)
+        for factor, times in (("filling", 6), ("emptying", 7))
+    ),
+    Term(FreeCompliance, "P", 0, "Pa", "1/Pa", 1e-10),
+    *_piston(FreeLevel, ("v", "x", "P_mean", "P_net", "t")),
+    Term(FreeLevel, "P_mean", 3, "Pa", "N*s/m", 1e3, "v", 1),
+    *_piston(FreeFriction, ("v", "z", "a", "P_net")),
+    Term(FreeFriction, "P_mean", 3, "Pa", "N*s/m", 1e3, "v", 1),
+    *_piston(FreeForce, ("x", "v", "a", "P_net", "t")),
+)
+"""What is searched, all of it counted in the family-wise p-values."""
+
+
+def coefficients(form: type[FreeForm] | FreeForm) -> list[str]:
+    """Names of a free form's coefficients, as a model has them."""
+    return [f"{form.name}.{field}" for field in specs(form)]

@@ -1,0 +1,50 @@
+"""Terms laid over what the logs hold of their signals, and put into a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from hydrojax.effects.splines import knots_over
+from hydrojax.identify.discovery.free_form import COUNT, TERMS, FreeForm, Term
+from hydrojax.identify.estimation.problem import Problem
+
+Samples = Mapping[str, Float[np.ndarray, "rows"]]
+"""What the logs hold of each signal, by its name, SI."""
+
+
+@dataclass(frozen=True)
+class Laid:
+    """A term, and its effect over the logs' own range."""
+
+    term: Term
+    effect: FreeForm
+
+
+def laid_over(samples: Samples) -> list[Laid]:
+    """Every term whose signal the logs move, over their range."""
+    out = []
+    for term in TERMS:
+        rows = samples.get(term.signal)
+        if rows is not None and np.ptp(np.quantile(rows, [0.01, 0.99])) > 0:
+            out.append(Laid(term, term.laid(knots_over(rows, COUNT))))
+    return out
+
+
+def with_laid(problem: Problem, effects: Sequence[FreeForm]) -> Problem:
+    """The problem whose free forms at these effects' places are these."""
+    rig = problem.model.rig
+    for effect in effects:
+        place = [effect if type(e) is type(effect) else e
+                 for e in getattr(rig, effect.place)]  # fmt: skip
+        rig = eqx.tree_at(
+            lambda r, p=effect.place: getattr(r, p),
+            rig,
+            tuple(place),
+            is_leaf=lambda x: isinstance(x, tuple),
+        )
+    return replace(problem, model=problem.model._replace(rig=rig))

@@ -1,0 +1,153 @@
+"""How smooth a curve is, what it gains, and its band: from sums of projected columns.
+
+`H` are the products of a curve's columns, whitened and projected off the sensitivities
+of all that is fitted; `g` their products with the residual, where all coefficients are
+zero (the sign as in `tracing.score`: chi-square is `left + 2 g c + c H c`). A curve is
+thereby what the rig's own parameters cannot follow (as Gyorok, Schoukens, Peni and
+Toth, arXiv 2511.01321), and these keep their meaning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from hydrojax.identify.tracing.score import Projection
+
+OWN = 1e-3
+"""Share of its columns' squares with which a curve is drawn to zero: what the rig's
+parameters follow to that degree is theirs."""
+
+TOLD = 0.02
+"""Share of a direction's squares that must be left by the projection for the direction
+to be the curve's own, 1."""
+
+TRIED = np.logspace(-6, 6, 49)
+"""Smoothing parameters that are tried, over the ratio of curvature and penalty."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Sums of a curve's columns.
+
+    Attributes:
+        H: products of the projected columns.
+        whole: the same before they were projected.
+        g: products of the projected columns with the residual at zero coefficients.
+        by_window: each window's part of `g` where the fit stands.
+        inflation: variance of the scores over that of white residuals, 1.
+        left: chi-square where the fit stands.
+    """
+
+    H: Float[np.ndarray, "k k"]
+    whole: Float[np.ndarray, "k k"]
+    g: Float[np.ndarray, "k"]
+    by_window: Float[np.ndarray, "windows k"]
+    inflation: float
+    left: float
+
+    @classmethod
+    def of(
+        cls,
+        projection: Projection,
+        columns: list[int],
+        at: Float[np.ndarray, "k"] | float = 0.0,
+    ) -> Columns:
+        """The sums of `columns`, whose coefficients stand `at` in the projection."""
+        H = projection.curvature(columns, columns)
+        H = (H + H.T) / 2
+        whole = projection.total[np.ix_(columns, columns)]
+        scores = projection.scores(columns)
+        g = scores.sum(axis=0) - H @ (np.zeros(len(columns)) + at)
+        own = directions(H, whole)
+        apart = (scores - scores.mean(axis=0)) @ own
+        H_own = np.diag(own.T @ H @ own)
+        ratio = np.sum(apart**2, axis=0) / np.maximum(H_own, 1e-300)
+        inflation = float(np.mean(ratio)) if own.shape[1] else 1.0
+        return cls(H, whole, g, scores, max(inflation, 1.0), projection.left)
+
+
+def directions(
+    H: Float[np.ndarray, "k k"], whole: Float[np.ndarray, "k k"]
+) -> Float[np.ndarray, "k own"]:
+    """The directions that are the curve's own: orthogonal in both products."""
+    size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    seen = size > 1e-6 * size.max()
+    scaled = whole[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
+    values, vectors = np.linalg.eigh(scaled)
+    keep = values > 1e-8 * values[-1]
+    root = vectors[:, keep] / np.sqrt(values[keep]) / size[seen, None]
+    left, turned = np.linalg.eigh(root.T @ H[np.ix_(seen, seen)] @ root)
+    out = np.zeros((len(H), int(np.sum(left > TOLD))))
+    out[seen] = root @ turned[:, left > TOLD]
+    return out
+
+
+def roughness(count: int) -> Float[np.ndarray, "count count"]:
+    """The penalty of P-splines: squares of second differences (Eilers and Marx)."""
+    D = np.diff(np.eye(count), 2, axis=0)
+    return D.T @ D
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """A curve's smoothing.
+
+    Attributes:
+        penalty: matrix that is added to `H`.
+        c: the coefficients that it gives, to first order.
+        gain: fall of chi-square with them.
+        degrees: effective degrees of freedom.
+    """
+
+    penalty: Float[np.ndarray, "k k"]
+    c: Float[np.ndarray, "k"]
+    gain: float
+    degrees: float
+
+
+def smoothed(columns: Columns) -> Smooth:
+    """The curve whose smoothing has the largest restricted likelihood (REML).
+
+    The likelihood is that of a Gaussian prior of the roughness, with the coefficients
+    integrated out; the noise of the sums is that of their windows, `inflation` times
+    that of white residuals.
+    """
+    H, g, k = columns.H, columns.g, len(columns.g)
+    # Where no sample lies only the penalty holds a coefficient.
+    typical = np.trace(columns.whole) / k
+    ridge = OWN * columns.whole + 1e-9 * typical * np.eye(k)
+    rough, noise = roughness(k), columns.inflation
+    ratio = np.trace(H) / np.trace(rough)
+    best, out = -np.inf, None
+    for tried in TRIED * max(ratio, 1e-300):
+        penalty = tried * rough + ridge
+        A = H + penalty
+        c = -np.linalg.solve(A, g)
+        likelihood = (
+            np.linalg.slogdet(penalty)[1]
+            - np.linalg.slogdet(A)[1]
+            - float(g @ c) / noise
+        )
+        if likelihood > best:
+            gain = -float(2 * g @ c + c @ H @ c)
+            degrees = float(np.trace(np.linalg.solve(A, H)))
+            best, out = likelihood, Smooth(penalty, c, gain, degrees)
+    assert out is not None
+    return out
+
+
+def covariance(
+    columns: Columns, smooth: Smooth
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k"]]:
+    """Covariance of the coefficients, and what takes from them the curve's own part.
+
+    Bayesian, smoothing as the prior: such bands hold over the whole curve (Nychka,
+    1988); of the directions that are the curve's own.
+    """
+    own = directions(columns.H, columns.whole)
+    part = own @ own.T @ columns.whole
+    V = columns.inflation * np.linalg.inv(columns.H + smooth.penalty)
+    return part @ V @ part.T, part

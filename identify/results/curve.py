@@ -1,0 +1,56 @@
+"""A curve for what no known effect explains, as plain data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class FoundCurve:
+    """A curve that stands for what no known effect explains; SI.
+
+    Attributes:
+        name: of the effect that it makes, `level_over_v`.
+        place: where it acts.
+        signal: what it is over, in `signal_unit`; `factor` what multiplies it, or "".
+        unit: of the curve.
+        s: of the signal, over the logs that are fitted and those that are not.
+        y: the curve there, less what the rig's own parameters can follow.
+        std: its standard deviation; the 95 % band is 1.96 times it, on either side.
+        seen: range of the signal on which it rests; beyond it is extrapolated.
+        rug: samples of the signal that it rests on.
+        p_value: family-wise, over all places and signals.
+        before: error by channel on the validation logs, RMS; `after` that with it.
+        share: part of the squared error above the noise that it takes.
+        test_before: error by channel on the test logs, where there are any, without
+            any curve; `test_after` with all of them.
+        alike: names of curves that do as well.
+        law: a formula that does as well as the curve, or "".
+        law_y: its values at `s`, less the same; none without a formula.
+        source: the class of an effect that has this law or this curve, in Python.
+    """
+
+    name: str
+    place: str
+    signal: str
+    signal_unit: str
+    factor: str
+    unit: str
+    s: Float[np.ndarray, "points"]
+    y: Float[np.ndarray, "points"]
+    std: Float[np.ndarray, "points"]
+    seen: tuple[float, float]
+    rug: Float[np.ndarray, "samples"]
+    p_value: float
+    before: dict[str, float]
+    after: dict[str, float]
+    share: float
+    test_before: dict[str, float] = field(default_factory=dict)
+    test_after: dict[str, float] = field(default_factory=dict)
+    alike: tuple[str, ...] = ()
+    law: str = ""
+    law_y: Float[np.ndarray, "points"] | None = None
+    source: str = ""

@@ -1,0 +1,108 @@
+"""Curves from sums: smoothing, bands and formulas against regressions in NumPy."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from hydrojax.effects.splines import knots_over
+from hydrojax.identify.discovery.formula import FORMS, formula_of
+from hydrojax.identify.discovery.smooth import (
+    Columns,
+    covariance,
+    directions,
+    smoothed,
+)
+from hydrojax.identify.tracing.score import Projection
+
+WINDOWS, TICKS, COUNT, NOISE = 80, 100, 14, 0.3
+LAWS = {
+    "drag": lambda s: 1.7 * np.abs(s) * s,
+    "bell": lambda s: 3.0 * np.exp(-((s / 0.4) ** 2)),
+    "saturation": lambda s: -2.0 * np.tanh(s / 0.3),
+    "wave": lambda s: 1.5 * np.sin(2 * np.pi * s / 1.3 + 0.4),
+    "ramp": lambda s: 2.5 * np.maximum(s - 0.5, 0.0),
+}
+
+
+def drawn(law, seed=0, noise=NOISE):
+    """A regression of y on 1 and s, and a curve of s: samples, knots and sums."""
+    rng = np.random.default_rng(seed)
+    s = rng.uniform(-2, 2, (WINDOWS, TICKS))
+    y = 0.7 + 1.3 * s + law(s) + noise * rng.normal(size=s.shape)
+    knots = knots_over(s.ravel(), COUNT)
+    B = BSpline.design_matrix(np.clip(s.ravel(), knots[0], knots[-1]), knots, 3)
+    B = B.toarray().reshape(*s.shape, COUNT)
+    fitted = np.stack([np.ones_like(s), s], axis=-1)
+    # As the replay has them: minus the derivatives, then the residual.
+    rows = np.concatenate([-fitted, -B, y[..., None]], axis=-1) / noise
+    gram = np.einsum("wti,wtj->wij", rows, rows)
+    projection = Projection(gram, [0, 1], np.zeros(COUNT + 2))
+    columns = Columns.of(projection, list(range(2, COUNT + 2)))
+    return s.ravel(), y.ravel(), knots, columns
+
+
+def beside(s, y):
+    """What of `y` a line over the samples `s` does not follow."""
+    return y - np.polyval(np.polyfit(s, y, 1), s)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_curve_lies_in_its_band(name):
+    """Less the line that belongs to the fitted parameters."""
+    law = LAWS[name]
+    inside = []
+    for seed in range(10):
+        s, _, knots, columns = drawn(law, seed)
+        smooth = smoothed(columns)
+        V, part = covariance(columns, smooth)
+        B = BSpline.design_matrix(np.clip(s, knots[0], knots[-1]), knots, 3).toarray()
+        y, std = B @ part @ smooth.c, np.sqrt(np.sum(B @ V * B, axis=1))
+        inside.append(np.mean(np.abs(beside(s, y) - beside(s, law(s))) < 1.96 * std))
+        assert np.std(beside(s, y) - beside(s, law(s))) < 0.06
+    assert np.mean(inside) > 0.85
+
+
+def test_what_is_fitted_keeps_its_part():
+    """A straight law is the fitted parameters' own: no direction of the curve is."""
+    *_, columns = drawn(lambda s: 5.0 * s)
+    assert directions(columns.H, columns.whole).shape[1] == COUNT - 2
+    smooth = smoothed(columns)
+    assert smooth.gain < 40
+    assert smooth.degrees < 4
+
+
+def test_smoothing_follows_the_noise():
+    def law(s):
+        return np.sin(3 * s)
+
+    quiet, loud = (smoothed(drawn(law, noise=n)[3]) for n in (0.1, 30.0))
+    assert quiet.degrees > 8
+    assert loud.degrees < 4
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_is_named(name):
+    s, _, knots, columns = drawn(LAWS[name])
+    found = formula_of(columns, smoothed(columns), knots, s, 1.0)
+    assert found is not None
+    assert found.form.name == name
+    want = {"drag": 1.7, "bell": 3.0, "saturation": -2.0, "ramp": 2.5}
+    if name in want:
+        assert found.amplitudes[0] == pytest.approx(want[name], rel=0.1)
+    if name in ("bell", "saturation", "ramp"):
+        shape = {"bell": 0.4, "saturation": 0.3, "ramp": 0.5}[name]
+        assert found.shape == pytest.approx(shape, rel=0.15)
+
+
+def test_a_law_that_no_form_has_stays_a_curve():
+    def law(s):
+        return 3 * np.sin(2.1 * s) * np.exp(s) + 2 * np.cos(5 * s + 1)
+
+    s, _, knots, columns = drawn(law)
+    assert formula_of(columns, smoothed(columns), knots, s, 1.0) is None
+
+
+def test_forms_have_a_term_for_each_power():
+    s = np.linspace(-1, 1, 7)
+    for form in FORMS:
+        assert len(form.of(s, 0.5)) == len(form.powers) == len(form.code)

@@ -1,0 +1,217 @@
+"""Curves in reports, and as effects of a user's own: laws in closed form."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from unittest.mock import Mock
+
+import jsonschema
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from hydrojax import api
+from hydrojax.effects import EFFECTS, load_effects
+from hydrojax.effects.splines import knots_over
+from hydrojax.errors import InputError
+from hydrojax.identify.discovery.effect_file import (
+    Law,
+    effect_file,
+    effect_source,
+    over,
+)
+from hydrojax.identify.discovery.formula import FORMS, Formula
+from hydrojax.identify.discovery.free_form import TERMS
+from hydrojax.identify.report.write import plot, write_report
+from hydrojax.identify.result import Result
+from hydrojax.identify.results.curve import FoundCurve
+from hydrojax.identify.results.outcome import ChannelErrors, Outcome, Parameter
+from hydrojax.plant.chambers import Point
+from hydrojax.plant.friction import Sliding
+from hydrojax.report.schema import report_schema
+
+TERM = {term.name: term for term in TERMS}
+FORM = {form.name: form for form in FORMS}
+SPANS = {"v": (-0.02, 0.02), "P": (1e6, 9e6), "x": (-0.01, 0.01)}
+
+
+def law(term: str, formula: Formula | None = None) -> Law:
+    """Of a term whose curve is a sine over its range."""
+    span = SPANS[TERM[term].signal]
+    knots = knots_over(np.linspace(*span, 2001), 14)
+    c = TERM[term].size * np.sin(np.arange(14.0))
+    return Law(TERM[term], knots, c, span, formula)
+
+
+def found(made: Law, says: str = "") -> FoundCurve:
+    s = np.linspace(*made.seen, 31)
+    return FoundCurve(
+        name=made.term.name,
+        place=made.term.place,
+        signal=made.term.signal,
+        signal_unit=made.signal_unit,
+        factor=made.term.factor,
+        unit=made.unit,
+        s=1.2 * s,
+        y=100 * np.sin(s / s[-1]),
+        std=0 * s + 5.0,
+        seen=made.seen,
+        rug=s,
+        p_value=1e-5,
+        before={"F": 14.0},
+        after={"F": 2.6},
+        share=0.97,
+        test_before={"F": 15.0},
+        test_after={"F": 2.7},
+        law=says or made.says(),
+        law_y=101 * np.sin(s / s[-1]),
+        source=effect_source(made, made.term.name),
+    )
+
+
+def outcome(*curves: FoundCurve) -> Outcome:
+    return Outcome(
+        command="trace",
+        rig="a rig",
+        fit_logs=("fit.csv",),
+        validate_logs=("validate.csv",),
+        verdict="unknown",
+        sentence="Something is left.",
+        parameters={"k_cp": Parameter(900.0, "N", "level", 800.0, True, 3.0)},
+        seconds={"compile": 1.0, "run": 2.0},
+        channels={"F": ChannelErrors("N", 2.5, 14.0, 14.0)},
+        curves=curves,
+    )
+
+
+@pytest.fixture
+def vocabulary():
+    """The vocabulary is put back as it was."""
+    before = dict(EFFECTS)
+    yield EFFECTS
+    EFFECTS.clear()
+    EFFECTS.update(before)
+
+
+def written(folder, curve: FoundCurve) -> type:
+    """The effect of a file that holds it."""
+    path = folder / "my_effects.py"
+    path.write_text(effect_file("a rig", [curve]))
+    return load_effects(path)[curve.name]
+
+
+def sliding(**given: float) -> Sliding:
+    return Sliding(**(dict.fromkeys(Sliding._fields, 0.0) | given))
+
+
+def bell() -> Formula:
+    return Formula(FORM["bell"], (120.0,), (0.5,), 4e-3, -100.0, -90.0)
+
+
+def test_a_report_holds_its_curves(tmp_path):
+    own = outcome(found(law("level_over_v", bell())))
+    write_report(own, tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    jsonschema.validate(report, report_schema())
+    (curve,) = report["curves"]
+    assert curve["law"] == "120 N * exp(-((v / 0.004 m/s) ** 2))"
+    assert curve["unit"] == "N" and curve["signal_unit"] == "m/s"
+    assert np.mean(curve["extrapolated"]) == pytest.approx(1 / 6, abs=0.05)
+    page = (tmp_path / "report.html").read_text()
+    assert "120 N * exp(-((v / 0.004 m/s) ** 2))" in page
+    assert "my_effects.py" in page
+    assert (tmp_path / "report_curve.png").stat().st_size > 5000
+    assert plot(own, "curve").axes[0].get_xlabel().endswith("[mm/s]")
+
+
+def test_a_report_without_curves_has_no_file_of_them(tmp_path):
+    write_report(outcome(), tmp_path)
+    assert not (tmp_path / "my_effects.py").exists()
+    assert not (tmp_path / "report_curve.png").exists()
+
+
+def test_a_formula_is_an_effect(tmp_path, vocabulary):
+    """Its law is the form's, with the strengths at what was found."""
+    kind = written(tmp_path, found(law("level_over_v", bell())))
+    effect = kind(a_1=120.0, s_0=4e-3)
+    v = np.linspace(-0.02, 0.02, 41)
+    got = [float(effect.level(sliding(v=one), 900.0)) for one in v]
+    np.testing.assert_allclose(got, 120 * np.exp(-((v / 4e-3) ** 2)), rtol=1e-6)
+
+
+def test_a_curve_is_an_effect_of_one_strength(tmp_path, vocabulary):
+    made = law("flow_per_filling_over_P")
+    kind = written(tmp_path, found(made, "none"))
+    at = Point(3e6, 5e6, 14e6, 2.5e5, (0.5,), 0.0, 0.0)
+    filling, other = kind(amount=2.0).flow(at)
+    want = BSpline(made.knots, made.coefficients, 3)(3e6)
+    np.testing.assert_allclose(float(filling), 2 * 0.5 * want, rtol=1e-5)
+    assert float(other) == 0.0
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)
+def test_every_form_can_be_written(form, tmp_path, vocabulary):
+    """And is what it is fitted as, but for its rounded corners."""
+    span = 0.01
+    a = tuple(30.0 / span**p for p in form.powers)
+    formula = Formula(form, a, a, 0.4 * span if form.shape else None, 0.0, 0.0)
+    made = law("force_over_x", formula)
+    kind = written(tmp_path, found(made))
+    given = {f"a_{i + 1}": size for i, size in enumerate(a)}
+    if form.shape:
+        given["s_0"] = 0.4 * span
+    effect, x = kind(**given), np.linspace(-span, span, 41)
+    got = [float(effect.force(sliding(x=one))) for one in x]
+    np.testing.assert_allclose(got, formula.at(x), atol=0.05 * np.ptp(formula.at(x)))
+
+
+def test_a_summary_says_its_curves():
+    said = Result(outcome(found(law("level_over_v", bell()))), Mock()).summary()
+    said = " ".join(said.split())
+    assert "level_over_v: 97 % of the excess" in said
+    assert "120 N * exp" in said
+
+
+@pytest.mark.parametrize("verdict", ["unknown", "explained"])
+def test_the_command_traces_again_with_what_it_found(
+    verdict, tmp_path, monkeypatch, vocabulary, call
+):
+    """Only where the first trace ends unknown; the traces themselves are made up."""
+    known = []
+    first = replace(outcome(), verdict=verdict)
+    second = replace(outcome(), verdict="explained", sentence="All of it.")
+    curve = found(law("level_over_v", bell()))
+
+    def discover(result, progress):
+        return replace(result, outcome=replace(result.outcome, curves=(curve,)))
+
+    def traced(*args):
+        known.extend(EFFECTS)
+        return second
+
+    monkeypatch.setattr(api, "trace", lambda *_, **__: Result(first, Mock()))
+    monkeypatch.setattr(api, "discover", discover)
+    monkeypatch.setattr(api.api, "trace_case", traced)
+    done = call("trace", "rig.toml", "a.csv", "--validate", "b.csv", "--discover",
+               "--out", str(tmp_path / "out"))  # fmt: skip
+    assert done.code == 0
+    again = verdict == "unknown"
+    assert ("level_over_v" in known) == again
+    assert (tmp_path / "out" / "my_effects.py").exists() == again
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert len(report["curves"]) == again
+    assert report["verdict"] == "explained"
+
+
+def test_curves_need_a_validation_log():
+    case = Mock(held_out=False)
+    with pytest.raises(InputError, match="give at least one with validate"):
+        api.discover(Result(outcome(), case))
+
+
+def test_units_over_units():
+    assert over("N", "m/s", 1) == "N*s/m"
+    assert over("N", "m/s^2", 2) == "N*s^4/m^2"
+    assert over("m^3/(s*{u})", "Pa", 1) == "m^3/(s*{u}*Pa)"
+    assert over("{u}", "{u}", 1) == "1"
