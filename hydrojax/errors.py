@@ -161,6 +161,8 @@ def file_text(path: Path, most: int, mend: str) -> str:
             raise InputError(f"{path}: is not a regular file; {mend}")
         with path.open("rb") as file:
             content = file.read(most + 1)
+    except (FileNotFoundError, NotADirectoryError) as err:
+        raise InputError(f"{path}: no such file; check the path") from err
     except (OSError, ValueError) as err:  # ValueError: a NUL in the path
         if isinstance(err, InputError):
             raise

@@ -77,8 +77,8 @@ def inputs(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     sound(folder)
     (folder / "reference.toml").write_text(reference()[0].text)
-    rows = [f"{name},rig.toml,damage/{name}.csv" for name in ("fit_1", "fit_2")]
-    (folder / "jobs.csv").write_text("\n".join(["job,rig,fit", *rows]) + "\n")
+    rows = [f"{name},rig.toml,damage/{name}.csv," for name in ("fit_1", "fit_2")]
+    (folder / "jobs.csv").write_text("\n".join(["job,rig,fit,validate", *rows]) + "\n")
 
 
 def place_of(command: str, folder: Path) -> Path:

@@ -51,7 +51,10 @@ Discover = Annotated[
 ]
 Effects = Annotated[
     list[Path] | None,
-    typer.Option(help="Python file with effects of your own; may be repeated."),
+    typer.Option(
+        help="Python file with effects of your own, or a folder of such files; may be "
+        "repeated."
+    ),
 ]
 
 Json = Annotated[
@@ -173,8 +176,19 @@ def check_file(context: typer.Context, out: Path) -> None:
 
 
 def load_effects(files: list[Path] | None) -> None:
-    """Take a user's own effects into the vocabulary."""
+    """Take a user's own effects into the vocabulary: files, or folders of them.
+
+    Raises:
+        InputError: see `hydrojax.effects.load_effects`; or a folder without any.
+    """
     from hydrojax.effects import load_effects
 
     for path in files or ():
-        load_effects(path)
+        own = sorted(path.glob("*.py")) if path.is_dir() else [path]
+        if not own:
+            raise InputError(
+                f"{path}: holds no Python file with effects; name another with "
+                "--effects"
+            )
+        for file in own:
+            load_effects(file)

@@ -83,11 +83,9 @@ class Law:
             return ""
         f, by = self.formula, f" * {self.term.factor}" if self.term.factor else ""
         parts = []
-        for a, power, code in zip(
-            f.amplitudes, f.form.powers, f.form.code, strict=True
-        ):
+        said = f.form.said or f.form.code
+        for a, power, code in zip(f.amplitudes, f.form.powers, said, strict=True):
             text = _with_signal(code, self.term.signal)
-            text = text.replace("{narrow}", f"{self.narrow:.3g} {self.signal_unit}")
             if f.shape is not None:
                 text = text.replace("s_0", f"{f.shape:.4g} {self.signal_unit}")
             unit = over(self.unit, self.signal_unit, power)

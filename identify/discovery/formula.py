@@ -33,6 +33,7 @@ class Form:
         code: the same in Python; `s` is the signal, `s_0` the shape.
         powers: of the signal's unit in each term, which the amplitude's divides.
         shape: whether there is a shape `s_0`, in the unit of the signal.
+        said: the code as it is printed, where corners are rounded in it.
         signed: whether the shape may stand anywhere in the range, not above zero only.
     """
 
@@ -42,6 +43,7 @@ class Form:
     powers: tuple[int, ...] = (0,)
     shape: bool = True
     signed: bool = False
+    said: tuple[str, ...] = ()
 
 
 def _soft(s: Rows, s_0: float) -> Rows:
@@ -50,6 +52,14 @@ def _soft(s: Rows, s_0: float) -> Rows:
 
 FORMS: tuple[Form, ...] = (
     Form("linear", lambda s, _: (s,), ("s",), (1,), False),
+    Form(
+        "line",
+        lambda s, _: (np.ones_like(s), s),
+        ("1.0 + 0.0 * s", "s"),
+        (0, 1),
+        False,
+        said=("1", "s"),
+    ),
     Form("quadratic", lambda s, _: (s, s**2), ("s", "s**2"), (1, 2), False),
     Form(
         "cubic",
@@ -82,6 +92,7 @@ FORMS: tuple[Form, ...] = (
         lambda s, s_0: (np.tanh(50 * (s - s_0) / np.ptp(s)),),
         ("tanh((s - s_0) / {narrow})",),
         signed=True,
+        said=("sign(s - s_0)",),
     ),
     Form(
         "ramp",
@@ -89,6 +100,7 @@ FORMS: tuple[Form, ...] = (
         ("{narrow} * logaddexp((s - s_0) / {narrow}, 0.0)",),
         (1,),
         signed=True,
+        said=("max(s - s_0, 0)",),
     ),
     Form(
         "ramp down",
@@ -96,6 +108,7 @@ FORMS: tuple[Form, ...] = (
         ("{narrow} * logaddexp((s_0 - s) / {narrow}, 0.0)",),
         (1,),
         signed=True,
+        said=("max(s_0 - s, 0)",),
     ),
     Form(
         "dead zone",
@@ -105,9 +118,10 @@ FORMS: tuple[Form, ...] = (
             " - logaddexp((-s - s_0) / {narrow}, 0.0))",
         ),
         (1,),
+        said=("sign(s) * max(abs(s) - s_0, 0)",),
     ),
 )
-"""Polynomials, |v|v, exponentials, tanh, sine, step, ramps and dead zone."""
+"""Lines and polynomials, |v|v, exponentials, tanh, sine, step, ramps and dead zone."""
 
 
 @dataclass(frozen=True)

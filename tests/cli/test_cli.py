@@ -262,6 +262,13 @@ def test_a_file_that_is_no_log_is_refused(call, bench, make, word):
 
 # -- rigs that will not do --
 
+
+def test_a_rig_file_that_is_not_there_is_said_to_be_missing(call, bench):
+    for name in ("rigg.toml", "rig.toml/rig.toml"):
+        found = call("identify", bench / name, bench / "log.csv")
+        refused(found, bench / "hydrojax-identify", name, "no such file", "path")
+
+
 BAD_RIGS = {
     "misspelt parameter": ("beta =", "betta =", ("betta", "did you mean 'beta'")),
     "misspelt section": ("[geometry]", "[geometri]", ("geometri",)),

@@ -12,6 +12,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hydrojax import api
+from hydrojax.cli.options import load_effects as take
 from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.effects.splines import knots_over
 from hydrojax.errors import InputError
@@ -202,6 +203,17 @@ def test_the_command_traces_again_with_what_it_found(
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert len(report["curves"]) == again
     assert report["verdict"] == "explained"
+
+
+def test_a_folder_of_found_effects_is_taken(tmp_path, vocabulary):
+    for term in ("level_over_v", "force_over_x"):
+        text = effect_file("a rig", [found(law(term), "none")])
+        (tmp_path / f"{term}.py").write_text(text)
+    take([tmp_path])
+    assert {"level_over_v", "force_over_x"} <= set(EFFECTS)
+    (tmp_path / "none").mkdir()
+    with pytest.raises(InputError, match="none: holds no Python file"):
+        take([tmp_path / "none"])
 
 
 def test_curves_need_a_validation_log():

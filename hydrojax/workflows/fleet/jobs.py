@@ -154,7 +154,7 @@ def _table(path: Path) -> pd.DataFrame:
         if name not in frame:
             raise InputError(
                 f"{path}: no column {name!r}; a table of jobs has rig, fit and "
-                "validate, and if you like job and labels"
+                "validate, and optionally job and labels"
             )
     if "job" not in frame:
         frame["job"] = [f"row {i + 1}" for i in range(len(frame))]
