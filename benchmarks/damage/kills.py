@@ -45,7 +45,7 @@ COMMANDS: Mapping[str, Sequence[str]] = {
     "identify": ("rig.toml", "log.csv", "--starts", "1"),
     "batch": ("jobs.csv", "--command", "identify", "--workers", "1", "--starts", "1"),
     "sweep": ("reference.toml", "--over", "k_p=0.5:2:3", "--over", "k_f=0.5:4:3"),
-    "bounds": ("rig.toml", *LOGS, "--stretch", "1"),
+    "bounds": ("rig.toml", *LOGS[:2]),
     "tune": ("reference.toml", "--ensemble", "2", "--starts", "1"),
     "trace": ("rig.toml", *LOGS),
 }

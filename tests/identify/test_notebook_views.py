@@ -99,7 +99,7 @@ def test_an_outcome_plots_what_tells_most():
 
 @pytest.mark.parametrize(
     ("picture", "says"),
-    [("residuum", "write one of traces, error"), ("loop", "nothing to show in loop")],
+    [("residuum", "write one of traces"), ("loop", "nothing to show in loop")],
 )
 def test_a_picture_that_is_not_there_is_refused_in_one_line(picture, says):
     with pytest.raises(InputError, match=says):

@@ -8,17 +8,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hydrojax.api import check
 from hydrojax.identify.report import write
-from hydrojax.identify.results.outcome import Candidate
-from hydrojax.report.compare import compare
+from hydrojax.identify.results.outcome import Candidate, Horizon
+from hydrojax.report.compare import Pair, compare
 from hydrojax.tune.report import write_sweep
 from tests.browser import Browser, Page
 from tests.identify.test_notebook_views import sweep
 from tests.identify.test_report import OUTCOMES, explained
+from tests.pages import ROOT
 from tests.tunings import tuned
 
 WIDTHS = (400, 1600)
-PAGES = (*OUTCOMES, "tuned", "swept", "compared")
+DEMO_LOG = ROOT / "hydrojax/demo/validate.csv.gz"
+PAGES = (*OUTCOMES, "tuned", "swept", "compared", "checked")
+RUNS = ("0.25", "1", "5", "free")
+LONG = Pair("c_p1", "m^3/(s*V*Pa^0.5)", 2.596336e-9, 2.596314e-9, 5.2e-14, 4.7e-14)
+"""As wide as a parameter gets in print."""
 
 
 @pytest.fixture(scope="module")
@@ -33,12 +39,23 @@ def reports(tmp_path_factory):
     """Folder with a report of each kind, by its name."""
     top = tmp_path_factory.mktemp("reports")
     for name, make in OUTCOMES.items():
-        write.write_report(make(), top / name)
+        run = Horizon(231e3, 9.02e3, 1.06e6, 281e3)
+        found = make()
+        channels = {
+            n: replace(c, horizons=dict.fromkeys(RUNS, run))
+            for n, c in found.channels.items()
+        }
+        write.write_report(replace(found, channels=channels), top / name)
     tuned().save(top / "tuned")
     write_sweep(sweep(one=False), top / "swept", "hydrojax sweep rig.toml")
     (top / "compared").mkdir()
     found = compare(top / "explained", top / "unknown")
-    (top / "compared" / "report.html").write_text(found.html())
+    found = replace(found, parameters=[*found.parameters, LONG])
+    text = found.html("hydrojax compare explained unknown --out compared")
+    (top / "compared" / "report.html").write_text(text)
+    checked = check(ROOT / "hydrojax/demo/rig.toml", [DEMO_LOG])
+    checked.save(top / "checked", "hydrojax check rig.toml log.csv")
+    (top / "checked" / "check.html").rename(top / "checked" / "report.html")
     return top
 
 

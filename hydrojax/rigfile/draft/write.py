@@ -234,7 +234,8 @@ def _parameters(log: Read) -> Iterator[str]:
         if oil and not LAYOUTS[log.layout].has_valve:
             continue
         unit = units.with_command(spec.unit, command)
-        said = f"# {spec.description}; {spec.lower:.3g} to {spec.upper:.3g} at most"
+        said = f"# {spec.description}; within {spec.lower:.3g} to {spec.upper:.3g}"
+        said += "" if unit == "1" else f" {unit}"
         if name not in usual:
             shown = text(spec.default, unit)
             yield from (f"{said}; rarely changed", f'# {name} = "{shown}"')
