@@ -25,9 +25,10 @@ RUNS, RUN_SECONDS = 4096, 4.0
 
 OWN, SINGLE, DEFAULT = "hydrojax", "hydrojax f32", "hydrojax, default flags"
 SCALAR, LANES = "C", "C lanes"
+GENERATED = "generated lanes"
 WITHIN = {
     SINGLE: 1e-2, DEFAULT: 1e-9, "C f32": 1e-2, "C lanes f32": 1e-2,
-    SCALAR: 1e-5, LANES: 1e-5, "numba": 1e-5, "diffrax": 1e-3,
+    SCALAR: 1e-5, LANES: 1e-5, GENERATED: 1e-9, "numba": 1e-5, "diffrax": 1e-3,
 }  # fmt: skip
 """How far a program's RMS errors of force may be from hydrojax's, relative. C and numba
 step the pressures by the explicit midpoint rule, hydrojax by the exponential one."""
@@ -126,6 +127,19 @@ def c(batch: int, samples: int, real: str, lanes: bool, threads: int) -> Build:
     return build
 
 
+def generated(batch: int, samples: int, threads: int) -> Build:
+    """C in lanes that is written of the simulator's step."""
+    from . import generated as written
+
+    given = _batched(batch, samples)
+
+    def build():
+        run = written.prepare(*given, threads)
+        return lambda: run()[0]
+
+    return build
+
+
 def by_numba(batch: int, samples: int) -> Build:
     """By numba, instances in parallel."""
     from . import peers_numba
@@ -196,6 +210,12 @@ def programs(batch: int, samples: int, few: int) -> list[Program]:
             for kind in ("loops", "fits", "both")
         ),
     ]
+    if batch > 1:
+        out += [
+            Program(f"{GENERATED}, {on(n)}", "default", "loop:generated",
+                    {**size, "threads": n}, "C")
+            for n in dict.fromkeys((1, CORES))
+        ]  # fmt: skip
     if batch == 1:
         one = {"samples": few}
         out.append(Program("scipy", "default", "loop:by_scipy", one, "scipy"))
@@ -205,6 +225,7 @@ def programs(batch: int, samples: int, few: int) -> list[Program]:
 def goals(batch: int) -> list[tuple[str, str, str, Goal | None]]:
     """Ratios of a batch: words, whose time, over whose, and what it must be."""
     lanes, scalar = f"{LANES}, {on(CORES)}", f"{SCALAR}, {on(CORES)}"
+    own = f"{GENERATED}, {on(CORES)}"
     if batch == 1:
         return [
             ("hydrojax over scalar C", OWN, f"{SCALAR}, 1 thread", Goal(1.4)),
@@ -225,6 +246,7 @@ def goals(batch: int) -> list[tuple[str, str, str, Goal | None]]:
     return [
         ("hydrojax over C lanes", OWN, lanes, Goal(1.15)),
         ("f32: hydrojax over C lanes", SINGLE, f"C lanes f32, {on(CORES)}", Goal(1.3)),
+        ("generated lanes over C lanes", own, lanes, Goal(1.15)),
         ("scalar C over hydrojax", scalar, OWN, ahead),
         ("numba over hydrojax", "numba", OWN, ahead),
         ("default flags over hydrojax", DEFAULT, OWN,

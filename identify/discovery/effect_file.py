@@ -232,8 +232,9 @@ def _law(law: Law) -> list[str]:
     if law.formula is None:
         body = "self.amount * curve(s, self.KNOTS, self.COEFFICIENTS)"
     else:
+        wide = {"narrow": law.narrow, "sharp": law.narrow / 4}
         terms = (
-            f"self.a_{i + 1} * ({_jax(code.format(narrow=law.narrow))})"
+            f"self.a_{i + 1} * ({_jax(code.format(**wide))})"
             for i, code in enumerate(law.formula.form.code)
         )
         body = " + ".join(terms)

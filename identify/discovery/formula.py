@@ -97,7 +97,7 @@ FORMS: tuple[Form, ...] = (
     Form(
         "ramp",
         lambda s, s_0: (np.maximum(s - s_0, 0.0),),
-        ("{narrow} * logaddexp((s - s_0) / {narrow}, 0.0)",),
+        ("{sharp} * logaddexp((s - s_0) / {sharp}, 0.0)",),
         (1,),
         signed=True,
         said=("max(s - s_0, 0)",),
@@ -105,7 +105,7 @@ FORMS: tuple[Form, ...] = (
     Form(
         "ramp down",
         lambda s, s_0: (np.maximum(s_0 - s, 0.0),),
-        ("{narrow} * logaddexp((s_0 - s) / {narrow}, 0.0)",),
+        ("{sharp} * logaddexp((s_0 - s) / {sharp}, 0.0)",),
         (1,),
         signed=True,
         said=("max(s_0 - s, 0)",),
@@ -114,8 +114,8 @@ FORMS: tuple[Form, ...] = (
         "dead zone",
         lambda s, s_0: (np.sign(s) * np.maximum(np.abs(s) - s_0, 0.0),),
         (
-            "{narrow} * (logaddexp((s - s_0) / {narrow}, 0.0)"
-            " - logaddexp((-s - s_0) / {narrow}, 0.0))",
+            "{sharp} * (logaddexp((s - s_0) / {sharp}, 0.0)"
+            " - logaddexp((-s - s_0) / {sharp}, 0.0))",
         ),
         (1,),
         said=("sign(s) * max(abs(s) - s_0, 0)",),

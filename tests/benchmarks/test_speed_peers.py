@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.speed import build_c, peers_c, peers_scipy, replay_c
+from benchmarks.speed import build_c, generated, peers_c, peers_scipy, replay_c
 from benchmarks.speed.numbers import KEEP, KEPT, numbers
 from benchmarks.speed.replays import NAMES, Replay
 from hydrojax.control.loop import Loop, Scenario, run
@@ -165,6 +165,17 @@ def test_c_is_the_simulator(request, name, real, lanes):
     case = request.getfixturevalue(name)
     found, got = peers_c.prepare(case.loop, case.scenario, real, lanes, 2, True)()
     assert off(got, np.atleast_3d(case.want).reshape(got.shape)) < 1e-9
+    assert np.allclose(found, rms(case), rtol=1e-9)
+
+
+@needs_c
+@pytest.mark.parametrize("name", ["swept", "many"])
+def test_generated_lanes_are_the_simulator(request, name):
+    """A group and a part of one; gains alone differ, and the plant with them."""
+    case = request.getfixturevalue(name)
+    found, got = generated.prepare(case.loop, case.scenario, 2, True)()
+    assert got.shape == case.want.shape
+    assert off(got, case.want) < 1e-9
     assert np.allclose(found, rms(case), rtol=1e-9)
 
 

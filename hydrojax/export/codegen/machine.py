@@ -121,8 +121,8 @@ def numbers_of(
         values[name] = value
         order.append(name)
         if name in specs:
-            unit = units.with_command(specs[name].unit, command_unit)
-            says[name] = f"{unit}, {meaning(specs[name])}"
+            text = f"{specs[name].unit}, {meaning(specs[name])}"
+            says[name] = units.with_command(text, command_unit)
 
     def build(values: Numbers) -> Any:
         made = jax.tree.unflatten(tree, [values[name] for name in order])
