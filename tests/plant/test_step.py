@@ -1,4 +1,7 @@
-"""The step that the loop, the FMU and a user share: what gives cannot be forgotten."""
+"""The step that the loop, exports and a user share: what gives cannot be forgotten."""
+
+from dataclasses import replace
+from importlib import resources
 
 import equinox as eqx
 import jax
@@ -10,12 +13,14 @@ from hydrojax.control.base import AbstractController
 from hydrojax.control.loop import run
 from hydrojax.control.simulation import hold, make_scenario
 from hydrojax.effects import EFFECTS
-from hydrojax.export import stepping
+from hydrojax.export.machines import plant_machine
+from hydrojax.export.model import driven_rig
 from hydrojax.parameters import param, put
 from hydrojax.plant.load import Driven
 from hydrojax.plant.rig import Rig, add
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import start, step
+from hydrojax.rigfile.schema import RigFile
 from tests.control.test_loop import make_bench_loop
 
 U, X, TICKS, H = 0.3, 2e-3, 80, 1e-3
@@ -67,18 +72,25 @@ def by_loop(rig: Rig) -> float:
     return float(eqx.filter_jit(run)(loop, scenario, ("true_F",))[-1, 0])
 
 
-def by_fmu(rig: Rig) -> float:
-    zero = 0.0
-    drive = stepping.Drive(u=U, x=X, v=zero, a=zero, P_s=P_S, P_r=P_R, P=None)
-    state, _ = stepping.begin(rig, drive._replace(u=zero), *P_START)
-    _, read = stepping.advance(rig, state, drive, zero, H, TICKS)
-    return float(read["F"])
+def by_export(rig: Rig, spec: RigFile) -> float:
+    """What the FMU and the C of the plant are written of."""
+    machine = plant_machine(replace(driven_rig(spec), rig=rig, period=H))
+    given = {"u": U, "x": X, "P_s": P_S, "P_r": P_R, "P_a1": P_START[0]}
+    given |= {"P_a2": P_START[1]}
+    at = {name: jnp.asarray(given.get(name, 0.0)) for name in machine.inputs}
+    p = {name: jnp.asarray(value) for name, value in machine.parameters.items()}
+    state, _ = machine.start(p, at | {"u": jnp.asarray(0.0)})
+    one = jax.jit(lambda s, _: machine.step(p, s, at))
+    _, read = jax.lax.scan(one, state, None, length=TICKS)
+    return float(read["F"][-1])
 
 
 def test_a_rod_that_gives_is_in_every_step(rig, soft):
     """Held for 80 ms the oil pushes: a soft rod takes most of the force."""
-    library, loop, fmu = by_library(soft), by_loop(soft), by_fmu(soft)
-    assert library == pytest.approx(fmu, rel=1e-12)
+    library, loop = by_library(soft), by_loop(soft)
+    with resources.as_file(resources.files("hydrojax") / "paper/reference.toml") as at:
+        exported = by_export(soft, RigFile.load(at))
+    assert library == pytest.approx(exported, rel=1e-12)
     # The loop takes a tick in four parts: the same to the error of the integration.
     assert library == pytest.approx(loop, rel=1e-3)
     assert abs(library) < 0.5 * abs(by_library(rig))
