@@ -48,43 +48,43 @@ SIZES = (1.0, 3.0)
 def laws(name: str, e: Mapping[str, float], rig: Mapping[str, float]) -> dict[str, Law]:
     """The truth as a curve, by the names of the terms that can be it; SI."""
     if name == "stribeck":
-        return {"level_over_v": lambda v: e["k_st"] * np.exp(-((v / e["v_s"]) ** 2))}
+        return {"free_level_v": lambda v: e["k_st"] * np.exp(-((v / e["v_s"]) ** 2))}
     if name == "viscous_friction":
         return {
-            "friction_over_v": lambda v: e["b"] * v,
-            "level_over_v": lambda v: e["b"] * np.abs(v),
+            "free_friction_v": lambda v: e["b"] * v,
+            "free_level_v": lambda v: e["b"] * np.abs(v),
         }
     if name == "pressure_friction":
-        return {"level_over_P_mean": lambda P: e["kappa"] * P}
+        return {"free_level_P_mean": lambda P: e["kappa"] * P}
     level = (rig["k_cp"] + rig["k_cn"]) / 2
     if name == "position_friction":
         angle = 2 * np.pi / e["wavelength"]
-        return {"level_over_x": lambda x: e["a"] * level * np.sin(angle * x)}
+        return {"free_level_x": lambda x: e["a"] * level * np.sin(angle * x)}
     if name == "friction_drift":
-        return {"level_over_t": lambda t: e["a"] * level * np.expm1(-t / e["tau"])}
+        return {"free_level_t": lambda t: e["a"] * level * np.expm1(-t / e["tau"])}
     if name == "side_load":
         turn = 2 * np.pi * e["hertz"]
-        return {"level_over_t": lambda t: e["a"] * level * np.abs(np.sin(turn * t))}
+        return {"free_level_t": lambda t: e["a"] * level * np.abs(np.sin(turn * t))}
     if name == "payload_inertia":
-        return {"force_over_a": lambda a: -e["m"] * a}
+        return {"free_force_a": lambda a: -e["m"] * a}
     if name == "gravity_load":
-        return {"force_over_x": lambda x: e["w"] * np.sin(x / 0.085 + e["psi_0"])}
+        return {"free_force_x": lambda x: e["w"] * np.sin(x / 0.085 + e["psi_0"])}
     if name == "end_cushion":
-        return {"force_over_x": lambda x: -e["k"] * np.maximum(x - e["x_from"], 0.0)}
+        return {"free_force_x": lambda x: -e["k"] * np.maximum(x - e["x_from"], 0.0)}
     if name == "external_leakage":
-        return {"flow_over_P": lambda P: -e["c_el"] * (P - 2.5e5)}
+        return {"free_flow_P": lambda P: -e["c_el"] * (P - 2.5e5)}
     if name == "internal_leakage":
-        return {"flow_across_over_P_net": lambda P: e["c_il"] * P}
+        return {"free_flow_across_P_net": lambda P: e["c_il"] * P}
     if name == "entrained_air":
 
         def air(P: np.ndarray) -> np.ndarray:
             p, p_0, n = np.maximum(P, 0.0) + 101_325.0, 101_325.0, e["n"]
             return e["alpha"] * (p_0 / p) ** (1 / n) / (n * p)
 
-        return {"compliance_over_P": air}
+        return {"free_compliance_P": air}
     if name == "valve_bias":
         # The hidden plant's command is a share of full opening at 10 V.
-        return {"command_over_u": lambda u: 0 * u + 10 * e["u_0"]}
+        return {"free_command_u": lambda u: 0 * u + 10 * e["u_0"]}
     return {}
 
 

@@ -143,6 +143,16 @@ class CandidateRecord(Part):
     why: str = Field("", description="the reason in words")
 
 
+class DrawnRecord(Part):
+    """The curve that an effect was found as; SI. More of it stands in `curves`."""
+
+    signal: Name = Field(description="what it is over")
+    unit: Unit = Field(description="of the curve")
+    at: list[float] = Field(max_length=COUNT, description="values of the signal")
+    value: list[float] = Field(max_length=COUNT, description="of the curve there")
+    std: list[Size] = Field(max_length=COUNT, description="its standard deviation")
+
+
 class EffectRecord(Part):
     """An effect that was found."""
 
@@ -172,6 +182,10 @@ class EffectRecord(Part):
         description="part of the squared error above the noise that it takes, of all "
         "channels",
     )
+    curve: DrawnRecord | None = Field(
+        None, description="the curve that it was found as, if `--discover` found it"
+    )
+    formula: str | None = Field(None, description="what stands for that curve")
 
 
 class RestRecord(Part):

@@ -23,7 +23,7 @@ from hydrojax.identify.results.outcome import Outcome
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
 from hydrojax.plant.replay import friction_memory
-from hydrojax.plant.rig import Rig, add
+from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_rig, effects_of
 
 
@@ -32,7 +32,7 @@ def begun(
 ) -> Search:
     """A search that stands where a fit or a trace ended, every free form dormant."""
     found = [e.name for e in outcome.effects]
-    rig = add(build_rig(case.spec, found), [form() for form in FORMS])
+    rig = build_rig(case.spec, found, [form() for form in FORMS])
     free = free_parameters(case.spec)
     for name, effect in effects_of(found, case.spec).items():
         free |= free_effect(name, specs(effect))

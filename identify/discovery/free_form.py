@@ -201,11 +201,11 @@ class Term:
 
     @property
     def name(self) -> str:
-        """What files and reports call it: `level_over_v`, `flow_1_over_P_a1`."""
+        """What files and reports call it: `free_level_v`, `free_flow_1_P_a1`."""
         chamber = {(1.0, 0.0): "_1", (0.0, 1.0): "_2", (1.0, -1.0): "_across"}
         place = f"{self.place}{chamber.get(self.share, '')}"
         by = f"_per_{self.factor}" if self.factor else ""
-        return f"{place}{by}_over_{self.signal}"
+        return f"free_{place}{by}_{self.signal}"
 
     def laid(self, knots: Float[np.ndarray, "n+4"]) -> FreeForm:
         """The effect, absent, over these knots."""

@@ -13,7 +13,7 @@ class FoundCurve:
     """A curve that stands for what no known effect explains; SI.
 
     Attributes:
-        name: of the effect that it makes, `level_over_v`.
+        name: of the effect that it makes, `free_level_v`.
         place: where it acts.
         signal: what it is over, in `signal_unit`; `factor` what multiplies it, or "".
         unit: of the curve.

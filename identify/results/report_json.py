@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -36,7 +36,7 @@ def report_json(outcome: Outcome) -> dict[str, Any]:
         "explained_share": o.explained_share,
         "parameters": {n: _parameter(p) for n, p in o.parameters.items()},
         "channels": {n: _channel(c) for n, c in o.channels.items()},
-        "effects": [_effect(e) for e in o.effects],
+        "effects": [_effect(e) | _drawn(e, o.curves) for e in o.effects],
         "curves": [_curve(c) for c in o.curves],
         "candidates": [asdict(c) for c in o.candidates],
         "unexplained": [_unexplained(u) for u in o.unexplained],
@@ -80,6 +80,16 @@ def _effect(e: FoundEffect) -> dict[str, Any]:
         "betrayed_by": e.residual_axis,
         "share": e.share,
     }
+
+
+def _drawn(e: FoundEffect, curves: Sequence[FoundCurve]) -> dict[str, Any]:
+    """The curve that an effect was found as, and its formula, if it was."""
+    for c in curves:
+        if c.name == e.name:
+            curve = {"signal": c.signal, "unit": c.unit}
+            curve |= {"at": c.s, "value": c.y, "std": c.std}
+            return {"curve": curve, "formula": c.law or None}
+    return {}
 
 
 def _curve(c: FoundCurve) -> dict[str, Any]:

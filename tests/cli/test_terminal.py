@@ -70,7 +70,7 @@ def outcome(verdict: str) -> SimpleNamespace:
     """As much of an outcome as a terminal shows."""
     return SimpleNamespace(
         verdict=verdict, sentence=SENTENCE, channels={}, effects=(), inputs=(),
-        limits=(), notes=(), seconds={"compile": 1.0, "run": 1.0},
+        limits=(), notes=(), curves=(), seconds={"compile": 1.0, "run": 1.0},
     )  # fmt: skip
 
 

@@ -27,7 +27,13 @@ from hydrojax.identify.discovery.free_form import TERMS
 from hydrojax.identify.report.write import plot, write_report
 from hydrojax.identify.result import Result
 from hydrojax.identify.results.curve import FoundCurve
-from hydrojax.identify.results.outcome import ChannelErrors, Outcome, Parameter
+from hydrojax.identify.results.outcome import (
+    ChannelErrors,
+    FoundEffect,
+    Outcome,
+    Parameter,
+)
+from hydrojax.identify.results.report_json import report_json
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding
 from hydrojax.report.schema import report_schema
@@ -111,7 +117,7 @@ def bell() -> Formula:
 
 
 def test_a_report_holds_its_curves(tmp_path):
-    own = outcome(found(law("level_over_v", bell())))
+    own = outcome(found(law("free_level_v", bell())))
     write_report(own, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
     jsonschema.validate(report, report_schema())
@@ -126,6 +132,22 @@ def test_a_report_holds_its_curves(tmp_path):
     assert plot(own, "curve").axes[0].get_xlabel().endswith("[mm/s]")
 
 
+def test_an_effect_that_was_found_as_a_curve_says_so():
+    curve = found(law("free_level_v", bell()))
+    errors = ({"F": 14.0}, {"F": 2.6})
+    effects = [
+        FoundEffect(name, {}, 1e-9, *errors, (), "v")
+        for name in ("free_level_v", "valve_lag")
+    ]
+    own = replace(outcome(curve), effects=tuple(effects))
+    one, other = report_json(own)["effects"]
+    assert one["curve"]["signal"] == "v" and one["curve"]["unit"] == "N"
+    assert one["curve"]["at"] == pytest.approx(curve.s)
+    assert one["curve"]["value"] == pytest.approx(curve.y)
+    assert one["formula"] == "120 N * exp(-((v / 0.004 m/s) ** 2))"
+    assert "curve" not in other
+
+
 def test_a_report_without_curves_has_no_file_of_them(tmp_path):
     write_report(outcome(), tmp_path)
     assert not (tmp_path / "my_effects.py").exists()
@@ -134,7 +156,7 @@ def test_a_report_without_curves_has_no_file_of_them(tmp_path):
 
 def test_a_formula_is_an_effect(tmp_path, vocabulary):
     """Its law is the form's, with the strengths at what was found."""
-    kind = written(tmp_path, found(law("level_over_v", bell())))
+    kind = written(tmp_path, found(law("free_level_v", bell())))
     effect = kind(a_1=120.0, s_0=4e-3)
     v = np.linspace(-0.02, 0.02, 41)
     got = [float(effect.level(sliding(v=one), 900.0)) for one in v]
@@ -142,7 +164,7 @@ def test_a_formula_is_an_effect(tmp_path, vocabulary):
 
 
 def test_a_curve_is_an_effect_of_one_strength(tmp_path, vocabulary):
-    made = law("flow_per_filling_over_P")
+    made = law("free_flow_per_filling_P")
     kind = written(tmp_path, found(made, "none"))
     at = Point(3e6, 5e6, 14e6, 2.5e5, (0.5,), 0.0, 0.0)
     filling, other = kind(amount=2.0).flow(at)
@@ -157,7 +179,7 @@ def test_every_form_can_be_written(form, tmp_path, vocabulary):
     span = 0.01
     a = tuple(30.0 / span**p for p in form.powers)
     formula = Formula(form, a, a, 0.4 * span if form.shape else None, 0.0, 0.0)
-    made = law("force_over_x", formula)
+    made = law("free_force_x", formula)
     kind = written(tmp_path, found(made))
     given = {f"a_{i + 1}": size for i, size in enumerate(a)}
     if form.shape:
@@ -168,9 +190,9 @@ def test_every_form_can_be_written(form, tmp_path, vocabulary):
 
 
 def test_a_summary_says_its_curves():
-    said = Result(outcome(found(law("level_over_v", bell()))), Mock()).summary()
+    said = Result(outcome(found(law("free_level_v", bell()))), Mock()).summary()
     said = " ".join(said.split())
-    assert "level_over_v: 97 % of the excess" in said
+    assert "free_level_v: 97 % of the excess" in said
     assert "120 N * exp" in said
 
 
@@ -182,7 +204,7 @@ def test_the_command_traces_again_with_what_it_found(
     known = []
     first = replace(outcome(), verdict=verdict)
     second = replace(outcome(), verdict="explained", sentence="All of it.")
-    curve = found(law("level_over_v", bell()))
+    curve = found(law("free_level_v", bell()))
 
     def discover(result, progress):
         return replace(result, outcome=replace(result.outcome, curves=(curve,)))
@@ -198,7 +220,7 @@ def test_the_command_traces_again_with_what_it_found(
                "--out", str(tmp_path / "out"))  # fmt: skip
     assert done.code == 0
     again = verdict == "unknown"
-    assert ("level_over_v" in known) == again
+    assert ("free_level_v" in known) == again
     assert (tmp_path / "out" / "my_effects.py").exists() == again
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert len(report["curves"]) == again
@@ -206,11 +228,11 @@ def test_the_command_traces_again_with_what_it_found(
 
 
 def test_a_folder_of_found_effects_is_taken(tmp_path, vocabulary):
-    for term in ("level_over_v", "force_over_x"):
+    for term in ("free_level_v", "free_force_x"):
         text = effect_file("a rig", [found(law(term), "none")])
         (tmp_path / f"{term}.py").write_text(text)
     take([tmp_path])
-    assert {"level_over_v", "force_over_x"} <= set(EFFECTS)
+    assert {"free_level_v", "free_force_x"} <= set(EFFECTS)
     (tmp_path / "none").mkdir()
     with pytest.raises(InputError, match="none: holds no Python file"):
         take([tmp_path / "none"])

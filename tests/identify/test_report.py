@@ -220,6 +220,7 @@ CONTRACT = {
     "parameters": dict,
     "channels": dict,
     "effects": list,
+    "curves": list,
     "candidates": list,
     "unexplained": list,
     "closed_loop": list,

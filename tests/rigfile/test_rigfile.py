@@ -309,7 +309,7 @@ def test_not_toml(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not text in UTF-8"):
         RigFile.load(tmp_path / "rig.toml")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no such file; check the path"):
         RigFile.load(tmp_path / "none.toml")
     with pytest.raises(InputError, match="not a regular file"):
         RigFile.load(tmp_path)

@@ -1,0 +1,60 @@
+"""The README's commands, each run as printed on the logs that ship with the package."""
+
+from __future__ import annotations
+
+import gzip
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.pages import ROOT, commands
+
+DEMO = ROOT / "hydrojax/demo"
+LOGS = {
+    "fit_1": ("fit_1", "fit", "log", "log_1"),
+    "fit_2": ("fit_2", "log_2"),
+    "validate": ("other",),
+}
+"""What the README calls the logs of the demo."""
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch) -> Path:
+    """A folder that holds what the README's commands name."""
+    shutil.copy(DEMO / "rig.toml", tmp_path)
+    for log, names in LOGS.items():
+        text = gzip.decompress((DEMO / f"{log}.csv.gz").read_bytes())
+        for name in names:
+            (tmp_path / f"{name}.csv").write_bytes(text)
+    jobs = "job,rig,fit,validate\nA,rig.toml,fit_1.csv;fit_2.csv,other.csv\n"
+    (tmp_path / "jobs.csv").write_text(jobs)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def _written(folder: Path) -> set[tuple[Path, int]]:
+    return {(p, p.stat().st_mtime_ns) for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", dict.fromkeys(commands(ROOT / "README.md")))
+def test_a_command_of_the_readme_does_its_work(line, call, desk):
+    command, _, file = line.partition("#")[0].partition(" > ")
+    words = shlex.split(command)[1:]
+    words = [p for w in words for p in (sorted(map(str, desk.glob(w))) or [w])]
+    if words[0] == "compare":  # two reports: of one log, and of two
+        logs = ["fit_1.csv", "fit_2.csv"]
+        for out, fitted in zip(words[1:], (logs[:1], logs), strict=True):
+            options = ["--validate", "other.csv", "--out", out]
+            assert call("identify", "rig.toml", *fitted, *options).code == 0
+    before = _written(desk)
+    done = call(*words)
+    # Gains that are no better than those of the rig file are not proposed: exit 1.
+    assert done.code == 0 or (words[0] == "tune" and done.code == 1), done.err
+    assert "Traceback" not in done.err
+    if file:
+        assert "[geometry]" in done.out
+    elif words[0] not in ("check", "compare"):
+        assert _written(desk) - before, done.out
