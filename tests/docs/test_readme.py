@@ -19,6 +19,9 @@ LOGS = {
 }
 """What the README calls the logs of the demo."""
 
+SIZES = ("--bore", "40 mm", "--rod", "0 mm", "--stroke", "200 mm", "--radius", "85 mm")
+"""What `init` asks at a terminal."""
+
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch) -> Path:
@@ -39,7 +42,9 @@ def _written(folder: Path) -> set[tuple[Path, int]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", dict.fromkeys(commands(ROOT / "README.md")))
+@pytest.mark.parametrize(
+    "line", dict.fromkeys(commands(ROOT / "README.md")), ids=lambda x: x.split()[1]
+)
 def test_a_command_of_the_readme_does_its_work(line, call, desk):
     command, _, file = line.partition("#")[0].partition(" > ")
     words = shlex.split(command)[1:]
@@ -49,6 +54,8 @@ def test_a_command_of_the_readme_does_its_work(line, call, desk):
         for out, fitted in zip(words[1:], (logs[:1], logs), strict=True):
             options = ["--validate", "other.csv", "--out", out]
             assert call("identify", "rig.toml", *fitted, *options).code == 0
+    if words[0] == "init":
+        words += SIZES
     before = _written(desk)
     done = call(*words)
     # Gains that are no better than those of the rig file are not proposed: exit 1.
