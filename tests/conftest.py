@@ -265,6 +265,20 @@ def call(monkeypatch, capsys, cache_home) -> Callable[..., Said]:
     return run
 
 
+# -- effects --
+
+
+@pytest.fixture
+def vocabulary():
+    """The effects that are known; what a test adds goes when it ends."""
+    from hydrojax.effects import EFFECTS  # its numbers are doubles: after the set-up
+
+    before = dict(EFFECTS)
+    yield EFFECTS
+    EFFECTS.clear()
+    EFFECTS.update(before)
+
+
 # -- memory --
 
 GOAL_MIB = 1536

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Point, refilled
 from hydrojax.plant.replay import Windows, follow_lines, lines_before, openings
 from hydrojax.plant.rig import Rig
@@ -33,15 +34,18 @@ def imbalance_behind(
     def middle(a):
         return (a[:, :-1] + a[:, 1:]) / 2
 
-    h, n = w.h[:, :-1], w.x_fine.shape[-1]
+    h, n, x = w.h[:, :-1], w.x_fine.shape[-1], w.x_fine
+    if rig.stretch:
+        F = jnp.stack([w.F[:, :-1], w.F[:, 1:]], axis=-1)
+        x = x + stretch.ahead(rig.stretch, stretch.along(F, n - 1))
     at = Point(
         refilled(middle(w.P_a1)),
         refilled(middle(w.P_a2)),
         middle(w.P_s),
         middle(w.P_r),
         tuple(o.T for o in opened),
-        x=w.x_fine[..., n // 2],
-        v=(w.x_fine[..., -1] - w.x_fine[..., 0]) / h,
+        x=x[..., n // 2],
+        v=(x[..., -1] - x[..., 0]) / h,
         line=_lines(rig, w),
     )
     rates, per_speed = jax.jvp(

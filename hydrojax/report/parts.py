@@ -143,7 +143,7 @@ class CandidateRecord(Part):
     why: str = Field("", description="the reason in words")
 
 
-class DrawnRecord(Part):
+class EffectCurve(Part):
     """The curve that an effect was found as; SI. More of it stands in `curves`."""
 
     signal: Name = Field(description="what it is over")
@@ -182,7 +182,7 @@ class EffectRecord(Part):
         description="part of the squared error above the noise that it takes, of all "
         "channels",
     )
-    curve: DrawnRecord | None = Field(
+    curve: EffectCurve | None = Field(
         None, description="the curve that it was found as, if `--discover` found it"
     )
     formula: str | None = Field(None, description="what stands for that curve")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -201,30 +203,22 @@ def _numbers(name: str, unit: str, values: Float[np.ndarray, "n"]) -> list[str]:
     return [f"    {name} = (  # {unit}", *rows, "    )"]
 
 
+@cache
+def _algebra() -> Any:
+    import pint  # slow to import
+
+    registry = pint.UnitRegistry()
+    registry.define("command = [command]")
+    return registry
+
+
 def over(unit: str, by: str, power: int) -> str:
-    """A unit over a power of another, as a parameter writes it."""
-    (up, down), (more, less) = _parts(unit), _parts(by)
-    up, down = up + less * power, down + more * power
-    sizes = {base: up.count(base) - down.count(base) for base in (*up, *down)}
-    above, below = (
-        [base if n == 1 else f"{base}^{n}"
-         for base, n in ((b, sign * n) for b, n in sizes.items()) if n > 0]
-        for sign in (1, -1)
-    )  # fmt: skip
-    text = "*".join(above) or "1"
-    if not below:
-        return text
-    return f"{text}/{below[0]}" if len(below) == 1 else f"{text}/({'*'.join(below)})"
-
-
-def _parts(unit: str) -> tuple[list[str], list[str]]:
-    """What a unit has above and below its stroke, as often as it has it."""
-    out: tuple[list[str], list[str]] = ([], [])
-    for side, text in zip(out, unit.split("/"), strict=False):
-        for one in text.strip("()").split("*"):
-            base, _, n = one.partition("^")
-            side.extend([base] * int(n or 1) if base != "1" else [])
-    return out
+    """A unit over a power of another, as a parameter writes it; `{u}` is the
+    command's.
+    """
+    one, other = (_algebra().Unit(u.replace("{u}", "command")) for u in (unit, by))
+    text = f"{one / other**power:~C}".replace("**", "^")
+    return text.replace("command", "{u}") or "1"
 
 
 def _law(law: Law) -> list[str]:

@@ -15,6 +15,9 @@ from hydrojax.identify.discovery.smooth import Columns, Smooth
 
 Rows = Float[np.ndarray, "rows"]
 
+ROWS = 400
+"""Values of the signal at which a form is taken to its spline."""
+
 GRID = 24
 """Values of a form's shape from which its best is sought."""
 
@@ -150,6 +153,16 @@ class Formula:
         return sum((a * y for a, y in zip(self.amplitudes, terms, strict=True)), 0 * s)
 
 
+def onto_splines(
+    knots: Float[np.ndarray, "n+4"], rug: Rows
+) -> tuple[Rows, Float[np.ndarray, "n rows"]]:
+    """Values of a signal spread as its samples are, and what takes a law there to the
+    coefficients of its spline.
+    """
+    rows = np.quantile(rug, np.linspace(0.002, 0.998, ROWS))
+    return rows, np.linalg.pinv(np.asarray(bspline(rows, knots)), rcond=1e-6)
+
+
 def formula_of(
     columns: Columns,
     smooth: Smooth,
@@ -172,8 +185,7 @@ def formula_of(
     spline = _chi2(columns, c) + smooth.degrees * penalty
     # A form is judged by its spline, which follows a corner less well than the form.
     enough = max(spline, _chi2(columns, c) + matters / columns.inflation)
-    rows = np.quantile(rug, np.linspace(0.002, 0.998, 400))
-    onto = np.linalg.pinv(np.asarray(bspline(rows, knots)), rcond=1e-6)
+    rows, onto = onto_splines(knots, rug)
     tried = [_best(form, columns, onto, rows, size, penalty) for form in FORMS]
     least = min(f[0] for f in tried)
     if least > enough:

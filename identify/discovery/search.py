@@ -18,9 +18,13 @@ from hydrojax.identify.discovery.smooth import Columns, Smooth, directions, smoo
 from hydrojax.identify.estimation.fit import fit_jointly, fit_pressures, only
 from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.judge import chance, cost, judge, worse
-from hydrojax.identify.tracing.score import Projection, Score, family
+from hydrojax.identify.tracing.score import (
+    Projection,
+    Score,
+    family,
+    worth_a_refit,
+)
 from hydrojax.identify.tracing.screen import size_that_matters
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.plant.places import PLACES
@@ -191,7 +195,9 @@ def _round(at: Search, every: Sequence[Laid], noise: np.ndarray) -> Search:
     least = criteria.smallest_gain * size_that_matters(state, noise)
     by_name = {one.term.name: one for one in every}
     order = sorted(scores.values(), key=lambda s: -s.gain)
-    worth = [s for s in order if s.gain > least and _worth(p[s.name], s, criteria)]
+    worth = [
+        s for s in order if s.gain > least and worth_a_refit(p[s.name], s, criteria)
+    ]
     before = state.check.errors_at(state.point.values)
     helped = []
     for s in worth[: criteria.tries]:
@@ -219,11 +225,6 @@ def _round(at: Search, every: Sequence[Laid], noise: np.ndarray) -> Search:
     curves = (*best.curves[:-1], replace(found, alike=alike, p_value=p_value))
     state.progress(f"kept {curves[-1].laid.term.name}")
     return replace(best, curves=curves)
-
-
-def _worth(p_value: float, s: Score, criteria: Criteria) -> bool:
-    """As a named effect: significant, or large whatever its p-value."""
-    return p_value < criteria.level or s.share > criteria.promising
 
 
 def fitted(

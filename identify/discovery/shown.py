@@ -11,7 +11,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.effects.splines import bspline
 from hydrojax.identify.case import Case
 from hydrojax.identify.discovery.effect_file import Law, effect_source
-from hydrojax.identify.discovery.formula import formula_of
+from hydrojax.identify.discovery.formula import formula_of, onto_splines
 from hydrojax.identify.discovery.free_form import coefficients
 from hydrojax.identify.discovery.laid import Samples, with_laid
 from hydrojax.identify.discovery.search import Curve, Search
@@ -59,8 +59,7 @@ def _shown(at, curve: Curve, columns, case: Case, fit, check) -> FoundCurve:
     law = Law(term, knots, c * term.size, seen, formula, case.spec.command_unit)
     law_y = None
     if formula is not None:
-        rows = np.quantile(rug, np.linspace(0.002, 0.998, 400))
-        onto = np.linalg.pinv(np.asarray(bspline(rows, knots)), rcond=1e-6)
+        rows, onto = onto_splines(knots, rug)
         law_y = B @ part @ (onto @ formula.at(rows)) / term.size
     before, after = (state.check.rms(e) for e in (curve.before, curve.after))
     noise = state.noise

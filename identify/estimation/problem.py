@@ -203,6 +203,7 @@ class Problem:
         found = self._begun.get(key)
         if found is None:
             found = self._find_starts(values)
+            found[1].setflags(write=False)  # every later caller gets the same array
             self._begun[key] = found
             for old in list(self._begun)[:-KEPT]:
                 self._begun.pop(old, None)

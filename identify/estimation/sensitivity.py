@@ -145,8 +145,6 @@ def opened_along(
         return jax.jvp(moved, (at,), (d,))[1]
 
     def moving() -> OpenedBy:
-        if k <= len(names):
-            return jax.vmap(along)(rows.T)
         each = jax.vmap(along)(jnp.eye(len(names)))
         return jax.tree.map(lambda a: jnp.tensordot(rows.T, a, axes=1), each)
 

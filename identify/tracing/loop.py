@@ -9,11 +9,10 @@ import numpy as np
 
 from hydrojax.identify.estimation.fit import FitPoint, fit_force, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.judge import chance, cost, judge, negligible, worse
 from hydrojax.identify.tracing.refit import refit
 from hydrojax.identify.tracing.rivals import reconsidered, with_look_alikes
-from hydrojax.identify.tracing.score import Score, family
+from hydrojax.identify.tracing.score import Score, family, worth_a_refit
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
 from hydrojax.plant.effect import Effect
@@ -65,7 +64,7 @@ def _round(
     worth = [
         s
         for s in sorted(scores.values(), key=lambda s: -s.gain)
-        if s.gain > least and _worth(p[s.name], s, criteria)
+        if s.gain > least and worth_a_refit(p[s.name], s, criteria)
     ]
     before = state.check.errors_at(state.point.values)
     tried = dict(state.tried)
@@ -108,11 +107,6 @@ def _round(
         free=(*state.free, *free_names(effects[name])),
         added=(*state.added, Added(name, p_value, rms(before), rms(after), alike)),
     )
-
-
-def _worth(p_value: float, s: Score, criteria: Criteria) -> bool:
-    """Whether a candidate's score is significant, or large whatever its p-value."""
-    return p_value < criteria.level or s.share > criteria.promising
 
 
 def status(state: Tracing, name: str, p_value: float) -> str:

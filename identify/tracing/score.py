@@ -145,6 +145,13 @@ def _power(H, spread, reach, matters, level) -> float:
     return float(stats.ncx2.sf(threshold, len(H), noncentral))
 
 
+def worth_a_refit(p_value: float, s: Score, criteria: Criteria) -> bool:
+    """Whether a candidate's score is significant, by its family-wise `p_value`, or
+    large whatever that is.
+    """
+    return p_value < criteria.level or s.share > criteria.promising
+
+
 def family(
     scores: Mapping[str, Score], criteria: Criteria = Criteria()
 ) -> dict[str, float]:

@@ -22,7 +22,7 @@ import typer
 
 import hydrojax as hj
 from hydrojax import cli
-from hydrojax.effects import EFFECTS, load_effects
+from hydrojax.effects import load_effects
 from hydrojax.rigfile.schema import RigFile
 from tests.browser import Browser, Page
 from tests.pages import ROOT, TUTORIAL, blocks, commands
@@ -267,15 +267,11 @@ RIGS = [
 
 
 @pytest.fixture
-def own_effects(tmp_path):
+def own_effects(tmp_path, vocabulary):
     """The effect that a page writes, known while the test runs."""
-    before = dict(EFFECTS)
     page = ROOT / "docs/your_own_effect.md"
     (tmp_path / "my_effects.py").write_text(next(blocks(page, "python")))
     load_effects(tmp_path / "my_effects.py")
-    yield
-    EFFECTS.clear()
-    EFFECTS.update(before)
 
 
 @pytest.mark.parametrize("text", RIGS)

@@ -635,6 +635,28 @@ def test_every_parameter_has_its_derivative(full, batch, columns, plain):
     assert not wrong
 
 
+@pytest.mark.parametrize(
+    "some",
+    [
+        ("c_p1", "k_cp"),  # neither memory nor command moves
+        ("backlash.b", "L_rate"),  # of the memory some
+        ("beta", "valve_delay.tau_u"),  # of the command some
+    ],
+)
+def test_columns_of_a_few_are_those_of_all(full, batch, columns, some):
+    """What no direction moves is not run; what it leaves is the same."""
+    model, y, dy = columns
+    at = [model.names.index(name) for name in some]
+    hydraulic = sum(i < model.hydraulic for i in at)
+    directions = basis(model, some, (hydraulic, len(at) - hydraulic))
+    run = jax.jit(lambda values: moved(model, values, directions, batch, True))
+    few_y, few = map(np.asarray, run(model.values))
+    own = [*at, *range(len(model.names), len(dy))]
+    assert np.allclose(few_y, y, rtol=1e-12)
+    for got, want in zip(few, dy[own], strict=True):
+        assert off(got, want) < 1e-9
+
+
 def test_initial_pressures_have_their_derivative(full, batch, columns, plain):
     model, _, dy = columns
     for i in range(2):

@@ -27,15 +27,6 @@ def blocks(kind: str) -> list[str]:
 
 
 @pytest.fixture
-def vocabulary():
-    """The vocabulary is put back as it was."""
-    before = dict(EFFECTS)
-    yield EFFECTS
-    EFFECTS.clear()
-    EFFECTS.update(before)
-
-
-@pytest.fixture
 def mine(tmp_path) -> Path:
     path = tmp_path / "my_effects.py"
     path.write_text(blocks("python")[0])

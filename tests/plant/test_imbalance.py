@@ -53,6 +53,20 @@ def test_it_is_the_displacement_at_which_the_balance_would_hold(rig, drive, leak
                 assert got[chamber, i, k] == pytest.approx(want, rel=2e-3, abs=2e-9)
 
 
+def test_a_rod_that_gives_moves_the_piston(rig, drive):
+    """As if the encoder had seen the piston's own motion: x + F / k."""
+    w, give = windows(drive(substeps=2)), 2e-7
+    F = 800.0 * np.sin(40.0 * np.asarray(w.t))
+    parts = np.linspace(0.0, 1.0, w.x_fine.shape[-1])
+    within = F[:, :-1, None] + parts * np.diff(F, axis=1)[..., None]
+    own = add(rig, [EFFECTS["rod_compliance"](give=give)])
+    got = np.array(imbalance(own, w._replace(F=jnp.asarray(F))))
+    want = np.array(imbalance(rig, w._replace(x_fine=w.x_fine + give * within)))
+    # The encoder's displacement is what the balance is short of.
+    assert np.allclose(got, want, rtol=1e-9, atol=1e-15)
+    assert np.max(np.abs(got - np.array(imbalance(rig, w)))) > 1e-7
+
+
 def test_the_openings_are_those_of_the_command(rig, drive):
     """A dead band and a delay of two ticks, by hand."""
     w = drive().windows
