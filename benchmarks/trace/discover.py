@@ -156,13 +156,13 @@ def inside(end: Any, found: Any, truth: Mapping[str, Any]) -> float | None:
         return None
     curve = next(c for c in end.curves if c.laid.term.name == found.name)
     knots, size = np.asarray(curve.laid.effect.knots), curve.laid.term.size
-    V, part = covariance(end.columns[found.name], curve.smooth)
+    _, part = covariance(end.columns[found.name], curve.smooth)
     s = np.quantile(found.rug, np.linspace(0.01, 0.99, 200))
     B = np.asarray(bspline(s, knots))
     c = np.linalg.pinv(B, rcond=1e-6) @ of[0](s) / size
     want = of[0](s) - size * B @ (c - part @ c)
-    std = size * np.sqrt(np.maximum(np.sum(B @ V * B, axis=1), 0.0))
-    return float(np.mean(np.abs(np.interp(s, found.s, found.y) - want) < 1.96 * std))
+    y, std = (np.interp(s, found.s, of) for of in (found.y, found.std))
+    return float(np.mean(np.abs(y - want) < 1.96 * std))
 
 
 def intervals(end: Any, rig: Mapping[str, float]) -> dict[str, float]:

@@ -99,6 +99,21 @@ def at_noise(state: Tracing, noise: Float[np.ndarray, "3"]) -> bool:
     return bool(np.all((rms <= state.criteria.at_noise * noise)[np.isfinite(noise)]))
 
 
+def above_noise(state: Tracing, inflation: float) -> float:
+    """Chi-square, in the present weights, by which the fitted logs would stand above
+    their noise with the validation logs' errors; and one standard deviation of chance,
+    `inflation` times that of white residuals, in which as much again may hide.
+    """
+    noise, weights = state.noise, state.point.weights
+    seen = np.isfinite(noise)
+    rms = state.check.rms(state.check.errors_at(state.point.values))
+    batch = state.problem.batch
+    rows = float(np.sum(batch.weight)) * batch.windows.measured.shape[1]
+    over = np.maximum(rms**2 - noise**2, 0.0)[seen] / weights[seen] ** 2
+    spread = np.sum((noise / weights)[seen] ** 4)
+    return float(rows * np.sum(over) + np.sqrt(2 * rows * inflation * spread))
+
+
 def columns_of(
     at: Search, laid: Sequence[Laid], weights: np.ndarray
 ) -> dict[str, Columns]:

@@ -14,8 +14,8 @@ from hydrojax.identify.discovery.effect_file import Law, effect_source
 from hydrojax.identify.discovery.formula import formula_of, onto_splines
 from hydrojax.identify.discovery.free_form import coefficients
 from hydrojax.identify.discovery.laid import Samples, with_laid
-from hydrojax.identify.discovery.search import Curve, Search
-from hydrojax.identify.discovery.smooth import covariance
+from hydrojax.identify.discovery.search import Curve, Search, above_noise
+from hydrojax.identify.discovery.smooth import band, covariance
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.curve import FoundCurve
@@ -51,8 +51,9 @@ def _shown(at, curve: Curve, columns, case: Case, fit, check) -> FoundCurve:
     seen = (float(knots[0]), float(knots[-1]))
     ends = min(seen[0], float(rest.min())), max(seen[1], float(rest.max()))
     s = np.linspace(*ends, POINTS)
-    B = np.asarray(bspline(s, knots)) * term.size
-    V, part = covariance(columns, curve.smooth)
+    B = np.asarray(bspline(s, knots))
+    _, part = covariance(columns, curve.smooth)
+    std = band(columns, curve.smooth, B, above_noise(state, columns.inflation))
     smooth = replace(curve.smooth, c=c)
     matters = size_that_matters(state, state.noise)
     formula = formula_of(columns, smooth, knots, rug, term.size, matters)
@@ -60,7 +61,7 @@ def _shown(at, curve: Curve, columns, case: Case, fit, check) -> FoundCurve:
     law_y = None
     if formula is not None:
         rows, onto = onto_splines(knots, rug)
-        law_y = B @ part @ (onto @ formula.at(rows)) / term.size
+        law_y = B @ part @ (onto @ formula.at(rows))
     before, after = (state.check.rms(e) for e in (curve.before, curve.after))
     noise = state.noise
     seen_channels = [i for i in range(3) if np.isfinite(noise[i])]
@@ -74,8 +75,8 @@ def _shown(at, curve: Curve, columns, case: Case, fit, check) -> FoundCurve:
         factor=term.factor,
         unit=law.unit,
         s=s,
-        y=B @ part @ c,
-        std=np.sqrt(np.maximum(np.sum(B @ V * B, axis=1), 0.0)),
+        y=B @ part @ c * term.size,
+        std=std * term.size,
         seen=seen,
         rug=np.quantile(rug, np.linspace(0.0, 1.0, RUG)),
         p_value=curve.p_value,

@@ -151,3 +151,22 @@ def covariance(
     part = own @ own.T @ columns.whole
     V = columns.inflation * np.linalg.inv(columns.H + smooth.penalty)
     return part @ V @ part.T, part
+
+
+def band(
+    columns: Columns,
+    smooth: Smooth,
+    basis: Float[np.ndarray, "points k"],
+    above: float,
+) -> Float[np.ndarray, "points"]:
+    """Standard deviation of a curve's own part where its splines are `basis`, in the
+    unit of its coefficients.
+
+    That of the coefficients, and that of what splines so far apart do not follow:
+    `above` is chi-square above the noise, as if all of it were an error of the curve,
+    of one size everywhere.
+    """
+    V, _ = covariance(columns, smooth)
+    # The splines add up to one: so much does a curve of size 1 move the readings.
+    rest = above / max(float(np.sum(columns.whole)), 1e-300)
+    return np.sqrt(np.maximum(np.sum(basis @ V * basis, axis=1), 0.0) + rest)
