@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -13,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from hydrojax.jax_setup import make_room
+from hydrojax.jax_setup import cores, make_room
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import linearize, measure, metrics, operating_point
 from hydrojax.tune.chunks import Chunks
@@ -94,7 +93,7 @@ class _Work:
                 one(i)
         else:
             one(todo[0])
-            with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            with ThreadPoolExecutor(cores()) as pool:
                 list(pool.map(one, todo[1:]))
 
 

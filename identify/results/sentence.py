@@ -52,20 +52,21 @@ def verdict_sentence(
     `left` is what stays above its noise, `needed` the parameters that the fitted logs
     leave open and the validation logs depend on.
     """
-    names = " and ".join(e.name for e in effects)
+    names, many = " and ".join(e.name for e in effects), len(effects) > 1
     where = "validation" if held_out else "fitted"
     if verdict == "nothing missing":
         return f"Nothing is missing: every channel of the {where} logs is at its noise."
     if verdict == "explained":
         return (
-            f"The model lacked {names}: with it every channel of the {where} logs is "
-            "at its noise."
+            f"The model lacked {names}: with {'them' if many else 'it'} every channel "
+            f"of the {where} logs is at its noise."
         )
     channels = " and ".join(u.channel for u in left)
     share = sum(e.share for e in effects)
     part = "over 99.9" if share > 0.999 else f"{100 * share:.3g}"
-    taken = f"takes away {part} % of the squared error above the noise"
-    start = f"{names} was found and added and {taken}, but " if names else ""
+    found = "were found and added and take" if many else "was found and added and takes"
+    start = f"{names} {found} away {part} % of the squared error above the noise, but "
+    start = start if names else ""
     rest = "; ".join(u.description for u in left)
     if needed:
         return (

@@ -10,6 +10,7 @@ import pytest
 from hydrojax.identify.report.headline import grade, headline, loop_verdict
 from hydrojax.identify.report.traces import SECONDS, stretch
 from hydrojax.identify.results.outcome import Horizon, LoopCheck
+from hydrojax.identify.results.sentence import verdict_sentence
 from tests.identify.test_report import OUTCOMES, explained
 
 
@@ -28,6 +29,19 @@ def test_one_line_says_what_was_found():
     )
     found = replace(unknown, effects=explained().effects[:1])
     assert headline(found).startswith("Internal leakage was found, but F stays at 55 N")
+
+
+def test_a_sentence_counts_its_effects():
+    two, left = explained().effects, OUTCOMES["unknown"]().unexplained
+
+    def said(verdict, effects):
+        return verdict_sentence("trace", verdict, effects, left, True, ())
+
+    assert "position_friction: with them every" in said("explained", two)
+    assert "internal_leakage: with it every channel" in said("explained", two[:1])
+    assert " were found and added and take away " in said("unknown", two)
+    assert " was found and added and takes away " in said("unknown", two[:1])
+    assert "added" not in said("unknown", ())
 
 
 def test_a_model_without_skill_says_so():
