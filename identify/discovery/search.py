@@ -104,13 +104,13 @@ def above_noise(state: Tracing, inflation: float) -> float:
     their noise with the validation logs' errors; and one standard deviation of chance,
     `inflation` times that of white residuals, in which as much again may hide.
     """
-    noise, weights = state.noise, state.point.weights
-    seen = np.isfinite(noise)
-    rms = state.check.rms(state.check.errors_at(state.point.values))
+    seen = np.isfinite(state.noise)
+    rms = state.check.rms(state.check.errors_at(state.point.values))[seen]
+    noise, weights = state.noise[seen], state.point.weights[seen]
     batch = state.problem.batch
     rows = float(np.sum(batch.weight)) * batch.windows.measured.shape[1]
-    over = np.maximum(rms**2 - noise**2, 0.0)[seen] / weights[seen] ** 2
-    spread = np.sum((noise / weights)[seen] ** 4)
+    over = np.maximum(rms**2 - noise**2, 0.0) / weights**2
+    spread = np.sum((noise / weights) ** 4)
     return float(rows * np.sum(over) + np.sqrt(2 * rows * inflation * spread))
 
 

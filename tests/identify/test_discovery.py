@@ -1,11 +1,14 @@
 """Curves from sums: smoothing, bands and formulas against regressions in NumPy."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
 from hydrojax.effects.splines import knots_over
 from hydrojax.identify.discovery.formula import FORMS, formula_of
+from hydrojax.identify.discovery.search import above_noise
 from hydrojax.identify.discovery.smooth import (
     Columns,
     band,
@@ -14,6 +17,7 @@ from hydrojax.identify.discovery.smooth import (
     smoothed,
 )
 from hydrojax.identify.tracing.score import Projection
+from hydrojax.identify.tracing.state import Tracing
 
 WINDOWS, TICKS, COUNT, NOISE = 80, 100, 14, 0.3
 LAWS = {
@@ -76,6 +80,20 @@ def test_a_curve_lies_in_its_band(name, noise):
         assert np.std(off) < 0.06 + 0.05 * noise
     assert np.mean(inside) > 0.9
     assert np.mean(width) < 1.0
+
+
+def test_what_stands_above_the_noise():
+    """By hand, of a channel at three times its noise, one that is not compared, and one
+    at its noise that has earned half its weight.
+    """
+    state = Mock(spec=Tracing, noise=np.array([1.0, np.inf, 2.0]))
+    state.check, state.problem = Mock(), Mock()
+    state.point = Mock(weights=np.array([1.0, np.inf, 4.0]))
+    state.check.rms.return_value = np.array([3.0, 5.0, 2.0])
+    state.problem.batch.weight = np.array([1.0, 1.0, 0.0])
+    state.problem.batch.windows.measured = np.zeros((3, 50, 3))
+    chance = np.sqrt(2 * 100 * 1.5 * (1 + 1 / 16))
+    assert above_noise(state, 1.5) == pytest.approx(100 * 8 + chance)
 
 
 def test_what_is_fitted_keeps_its_part():
