@@ -22,7 +22,7 @@ from hydrojax.tune.ensemble import Plants
 METHODS = ("linear", "multisine", "noise")
 MEMORY = 40e6
 """Bytes that a chunk's signals may take: with more, the system hands over fresh memory
-for every chunk, which took a fifth of a sweep by noise."""
+for every chunk."""
 
 MADE_BY = (
     linearize.system,

@@ -133,8 +133,8 @@ def run(folder: Path, kind: str, traced: bool) -> Row:
                 "law": c.law,
                 "share": c.share,
                 "alike": c.alike,
-                "inside": inside(end, c, truth),
             }
+            | banded(end, c, truth)
             for c in outcome.curves
         ],
         "parameters": intervals(end, truth["rig"]),
@@ -142,9 +142,14 @@ def run(folder: Path, kind: str, traced: bool) -> Row:
     }
 
 
-def inside(end: Any, found: Any, truth: Mapping[str, Any]) -> float | None:
-    """Share of the samples at which the truth lies in a curve's 95 % band; None where
-    the truth is no such curve. Of both only what is the curve's own.
+def banded(end: Any, found: Any, truth: Mapping[str, Any]) -> dict[str, float]:
+    """A curve against the truth, of both only what is the curve's own; none where the
+    truth is no such curve.
+
+    Returns:
+        `inside`, the share of the samples at which the truth lies in the 95 % band;
+        and over the truth's largest value at these: `half` the band's mean width, and
+        the RMS error, `off`.
     """
     from hydrojax.effects.splines import bspline
     from hydrojax.identify.discovery.smooth import covariance
@@ -153,7 +158,7 @@ def inside(end: Any, found: Any, truth: Mapping[str, Any]) -> float | None:
           for term, law in laws(name, e, truth["rig"]).items()
           if term == found.name]  # fmt: skip
     if not of:
-        return None
+        return {}
     curve = next(c for c in end.curves if c.laid.term.name == found.name)
     knots, size = np.asarray(curve.laid.effect.knots), curve.laid.term.size
     _, part = covariance(end.columns[found.name], curve.smooth)
@@ -162,7 +167,12 @@ def inside(end: Any, found: Any, truth: Mapping[str, Any]) -> float | None:
     c = np.linalg.pinv(B, rcond=1e-6) @ of[0](s) / size
     want = of[0](s) - size * B @ (c - part @ c)
     y, std = (np.interp(s, found.s, of) for of in (found.y, found.std))
-    return float(np.mean(np.abs(y - want) < 1.96 * std))
+    error, half, most = y - want, 1.96 * std, max(float(np.max(np.abs(want))), 1e-300)
+    return {
+        "inside": float(np.mean(np.abs(error) < half)),
+        "half": float(np.mean(half)) / most,
+        "off": float(np.sqrt(np.mean(error**2))) / most,
+    }
 
 
 def intervals(end: Any, rig: Mapping[str, float]) -> dict[str, float]:
@@ -213,7 +223,9 @@ def report(rows: Sequence[Row]) -> str:
                 for c in r["curves"]
             )
             bands = "; ".join(
-                "–" if c["inside"] is None else f"{c['inside']:.2f}"
+                f"{c['inside']:.0%} (± {c['half']:.0%}, off {c['off']:.0%})"
+                if "inside" in c
+                else "–"
                 for c in r["curves"]
             )
             z = np.array(list(r["parameters"].values()))
@@ -223,8 +235,7 @@ def report(rows: Sequence[Row]) -> str:
                 f"{bands or '–'} | {np.sum(z < 1.96)}/{len(z)} | "
                 f"{' + '.join(f'{s:.0f}' for s in r['seconds'])} |"
             )
-        bands = [c["inside"] for r in own for c in r["curves"]]
-        told = [b for b in bands if b is not None]
+        told = [c["inside"] for r in own for c in r["curves"] if "inside" in c]
         z = np.array([v for r in own for v in r["parameters"].values()])
         out += [
             "",

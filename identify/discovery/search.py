@@ -100,9 +100,11 @@ def at_noise(state: Tracing, noise: Float[np.ndarray, "3"]) -> bool:
 
 
 def above_noise(state: Tracing, inflation: float) -> float:
-    """Chi-square, in the present weights, by which the fitted logs would stand above
-    their noise with the validation logs' errors; and one standard deviation of chance,
-    `inflation` times that of white residuals, in which as much again may hide.
+    """Chi-square, in the present weights, that is left above the noise: that of the
+    validation errors, over as many rows as are fitted, and one standard deviation of
+    its chance, under which as much may lie unseen.
+
+    `inflation` is the variance of the scores over that of white residuals.
     """
     seen = np.isfinite(state.noise)
     rms = state.check.rms(state.check.errors_at(state.point.values))[seen]

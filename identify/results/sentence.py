@@ -65,8 +65,11 @@ def verdict_sentence(
     share = sum(e.share for e in effects)
     part = "over 99.9" if share > 0.999 else f"{100 * share:.3g}"
     found = "were found and added and take" if many else "was found and added and takes"
-    start = f"{names} {found} away {part} % of the squared error above the noise, but "
-    start = start if names else ""
+    start = (
+        f"{names} {found} away {part} % of the squared error above the noise, but "
+        if names
+        else ""
+    )
     rest = "; ".join(u.description for u in left)
     if needed:
         return (
