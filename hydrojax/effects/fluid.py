@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -19,7 +18,7 @@ P_0 = 101_325.0
 """Atmospheric pressure (Pa): the reference of entrained air."""
 
 
-SHUT = 1e-2
+SHUT = 1e-3
 """Share by which a counterbalance valve that is shut still passes: what leaks."""
 
 
@@ -72,11 +71,11 @@ class PressureCompensation(SupplyEffect):
 class Counterbalance(LineEffect):
     """Over-centre valve in the line of each chamber: throttles what leaves it.
 
-    It opens with the chamber's pressure and, `ratio` times, with the other line's: to
-    the share `s = (P_i + ratio P_j - P_set) / dP_full`, which it reaches with the lag
-    `tau`. It stands in series with the metering edge: outflow Q loses `k_i Q^2 / s^2`
-    in it, none at `k_i = 0` (no valve in the line of chamber i). What comes from the
-    supply is free. The line's own volume is left out.
+    It opens with the chamber's pressure and, `ratio` times, with the other chamber's,
+    which comes with the lag `tau` of a damped pilot line: to the share
+    `s = (P_i + ratio P_j - P_set) / dP_full`. Outflow Q loses `k_i Q^2 / s^2` in it,
+    none at `k_i = 0` (no valve in the line of chamber i); inflow is free. `V_line` of
+    what a chamber holds lies between valve and edge, at a pressure of its own.
     """
 
     name = "counterbalance"
@@ -97,31 +96,36 @@ class Counterbalance(LineEffect):
     dP_full: Float[Array, ""] = param(
         "Pa", 1.5e7, 5e5, 6e7, "pressure from shut to open", prior=1e7
     )
-    tau: Float[Array, ""] = param("s", 0.05, 1e-3, 0.5, "lag of the poppet", prior=0.1)
+    tau: Float[Array, ""] = param("s", 0.05, 1e-3, 0.5, "lag of the pilot", prior=0.1)
+    V_line: Float[Array, ""] = param(
+        "m^3", 5e-4, 1e-5, 2e-2, "volume of a line between valve and edges", prior=5e-4
+    )
 
     def _opens(self, own, pilot):
         share = (own + self.ratio * pilot - self.P_set) / self.dP_full
         return jnp.clip(share, SHUT, 1.0)
 
     def init(self, P_1, P_2):
-        shares = self._opens(P_1, P_2), self._opens(P_2, P_1)
-        return shares, shares
+        return (P_2, P_1), (self._opens(P_1, P_2), self._opens(P_2, P_1))
 
     def step(self, memory, P_1, P_2, h):
-        """Shares at the tick's end, and their means over the tick."""
-        goals, _ = self.init(P_1, P_2)
-        off = [s - goal for s, goal in zip(memory[0], goals, strict=True)]
+        """Pilot pressures at the tick's end, and the shares by their means over it."""
         fade = jnp.exp(-h / self.tau)
         mean = (1 - fade) * self.tau / h
-        ends = tuple(goal + fade * o for goal, o in zip(goals, off, strict=True))
-        return ends, tuple(g + mean * o for g, o in zip(goals, off, strict=True))
+        off = [late - now for late, now in zip(memory[0], (P_2, P_1), strict=True)]
+        ends = (P_2 + fade * off[0], P_1 + fade * off[1])
+        shares = (
+            self._opens(P_1, P_2 + mean * off[0]),
+            self._opens(P_2, P_1 + mean * off[1]),
+        )
+        return ends, shares
 
-    def outlet(self, memory, out_1, out_2):
-        def passes(k, share, out):
-            return out * jax.lax.rsqrt(1 + k * (out / share) ** 2)
-
+    def loss(self, memory):
         share_1, share_2 = memory[1]
-        return passes(self.k_1, share_1, out_1), passes(self.k_2, share_2, out_2)
+        return self.k_1 / share_1**2, self.k_2 / share_2**2
+
+    def volume(self):
+        return self.V_line, self.V_line
 
 
 class InternalLeakage(FlowEffect):

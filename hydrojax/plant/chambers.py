@@ -23,6 +23,9 @@ SHORTEST = 2e-3
 the stroke would turn it negative."""
 
 
+LONGEST = 0.9
+"""Share of what a chamber and its line hold that the line takes at most."""
+
 STOP_STIFFNESS = 1e8
 """Of the stroke's ends, N/m: 0.2 mm under 20 kN."""
 
@@ -34,13 +37,23 @@ def refilled(P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     return jnp.where(P < P_VAPOUR, P_VAPOUR, P)
 
 
+class Lines(NamedTuple):
+    """What stands in the lines between chambers and metering edges.
+
+    `memory` is that of each effect; `drop` says by how much the pressure at the edges
+    is below that of chambers 1 and 2 (Pa, >= 0).
+    """
+
+    memory: tuple
+    drop: tuple[Float[Array, "*batch"], Float[Array, "*batch"]]
+
+
 class Point(NamedTuple):
     """Where the hydraulics stand at one instant; SI, every field of one shape.
 
     `opening` is `(spool,)` where the spool stays on one side, or the means over the
     tick of its opening toward either side, both >= 0: a spool that crosses zero inside
-    a tick opens both. `line` is the memory of what stands in the lines, as
-    `Rig.line_step` gives it.
+    a tick opens both. `line` is what stands in the lines, where anything does.
     """
 
     P_a1: Float[Array, "*batch"]
@@ -50,7 +63,7 @@ class Point(NamedTuple):
     opening: tuple[Float[Array, "*batch"], ...]
     x: Float[Array, "*batch"]
     v: Float[Array, "*batch"]
-    line: tuple = ()
+    line: Lines | None = None
 
 
 class Chambers(eqx.Module):
@@ -93,26 +106,76 @@ class Chambers(eqx.Module):
         q_2: Float[Array, "*batch"],
         softness: tuple = (),
         volumes: tuple = (),
+        lines: tuple = (),
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Pressure rates (Pa/s) for flows into the chambers; (14)(15).
 
         `softness` are effects that add compliance (1/Pa) beside 1/beta, `volumes`
-        those that add to what the chambers hold (m^3).
+        those that add to what the chambers hold (m^3), `lines` those behind which a
+        part of it lies; with them the rates are of the mean pressure of both parts.
 
         A pressure below `P_VAPOUR` stands for a chamber that is not full: it lacks
         `A length / beta` of volume per Pa, whatever room it has, so that the same
         volume fills it up.
         """
-        x_1, x_2 = (jnp.maximum(x, SHORTEST * self.length) for x in self.lengths(at.x))
-        for effect in volumes:
-            more_1, more_2 = effect.volume()
-            x_1, x_2 = x_1 + more_1 / self.area_1, x_2 + more_2 / self.area_2
-        x_1 = jnp.where(at.P_a1 < P_VAPOUR, self.length, x_1)
-        x_2 = jnp.where(at.P_a2 < P_VAPOUR, self.length, x_2)
-        stiff_1 = 1 / (1 / self.beta + sum(s.compliance(at.P_a1) for s in softness))
-        stiff_2 = 1 / (1 / self.beta + sum(s.compliance(at.P_a2) for s in softness))
+        x_1, x_2 = self._filled(at, volumes)
+        if lines:
+            parts = self.capacities(at, softness, volumes, lines)
+            stiff_1, stiff_2 = (
+                area * x / (chamber + line)
+                for area, x, (chamber, line) in zip(
+                    (self.area_1, self.area_2), (x_1, x_2), parts, strict=True
+                )
+            )
+        else:
+            stiff_1 = 1 / self._compliance(at.P_a1, softness)
+            stiff_2 = 1 / self._compliance(at.P_a2, softness)
         # Divisions by what instances of a sweep have in common are done once.
         return (
             stiff_1 * (1 / x_1) * (q_1 * (1 / self.area_1) + at.v),
             stiff_2 * (1 / x_2) * (q_2 * (1 / self.area_2) - at.v),
         )
+
+    def capacities(
+        self, at: Point, softness: tuple, volumes: tuple, lines: tuple
+    ) -> tuple[tuple[Float[Array, "*batch"], Float[Array, "*batch"]], ...]:
+        """What chambers 1 and 2 take up, and what their lines do, m^3/Pa.
+
+        Arguments as those of `rates`. A line holds at most `LONGEST` of what both hold.
+        """
+        parts, drops = [], at.line.drop if at.line is not None else (0.0, 0.0)
+        behind = [sum(v) for v in zip(*(e.volume() for e in lines), strict=True)]
+        for area, x, P, lower, more in zip(
+            (self.area_1, self.area_2),
+            self._filled(at, volumes),
+            (at.P_a1, at.P_a2),
+            drops,
+            behind,
+            strict=True,
+        ):
+            line = jnp.minimum(more, LONGEST * area * x)
+            parts.append(
+                (
+                    (area * x - line) * self._compliance(P, softness),
+                    line * self._compliance(P - lower, softness),
+                )
+            )
+        return tuple(parts)
+
+    def _filled(
+        self, at: Point, volumes: tuple
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Volumes over areas, m."""
+        x_1, x_2 = (jnp.maximum(x, SHORTEST * self.length) for x in self.lengths(at.x))
+        for effect in volumes:
+            more_1, more_2 = effect.volume()
+            x_1, x_2 = x_1 + more_1 / self.area_1, x_2 + more_2 / self.area_2
+        return (
+            jnp.where(at.P_a1 < P_VAPOUR, self.length, x_1),
+            jnp.where(at.P_a2 < P_VAPOUR, self.length, x_2),
+        )
+
+    def _compliance(
+        self, P: Float[Array, "*batch"], softness: tuple
+    ) -> Float[Array, "*batch"]:
+        return 1 / self.beta + sum(s.compliance(P) for s in softness)

@@ -6,7 +6,7 @@ decides what it must compute; `hydrojax.plant.places` lists the places.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -76,8 +76,7 @@ class OrificeEffect(Effect):
     """Changes the valve's four edges: how far they open, how laminar they are.
 
     `opening(spool) -> (open_p, open_n)` is added to the openings toward either side,
-    `core() -> Pa^2` to the square of the laminar core; `outlet(out_1, out_2)` are the
-    conductances from chambers 1 and 2 to the return in place of the edges' own.
+    `core() -> Pa^2` to the square of the laminar core.
     """
 
     place = "orifice"
@@ -93,20 +92,15 @@ class OrificeEffect(Effect):
         """What is added to the square of the laminar core, Pa^2."""
         return 0.0
 
-    def outlet(
-        self, out_1: Float[Array, "*batch"], out_2: Float[Array, "*batch"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Conductances from chambers 1 and 2 to the return, m^3/(s Pa^0.5)."""
-        return out_1, out_2
-
 
 class LineEffect(Effect):
     """A valve of its own in the lines between the metering edges and the chambers.
 
     `init(P_1, P_2)` is its memory after a long rest at these pressures,
-    `step(memory, P_1, P_2, h)` that over a tick of length `h` that begins at them, and
-    `outlet(memory, out_1, out_2)` gives the conductances from chambers 1 and 2 to the
-    return in place of the edges' own.
+    `step(memory, P_1, P_2, h)` that over a tick of length `h` that begins at them.
+    What leaves chamber i as a flow Q loses `r_i Q^2` in it, `loss(memory)` being both
+    r_i; what enters is free. `volume()` is what lies between it and the edges, of
+    what the chambers hold in all.
     """
 
     place = "line"
@@ -126,34 +120,13 @@ class LineEffect(Effect):
         """Memory over a tick of length `h` (s) that begins at these pressures, Pa."""
         return memory
 
-    def outlet(
-        self, memory, out_1: Float[Array, "*batch"], out_2: Float[Array, "*batch"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Conductances from chambers 1 and 2 to the return, m^3/(s Pa^0.5)."""
+    def loss(self, memory) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Loss of what leaves chambers 1 and 2, Pa s^2/m^6."""
         raise NotImplementedError
 
-
-class InLine(NamedTuple):
-    """What stands in the lines over one tick, as a valve is handed it: an effect of its
-    edges.
-    """
-
-    effect: LineEffect
-    memory: Any
-
-    def opening(self, spool: Float[Array, "*batch"]) -> tuple[float, float]:
-        """Nothing is added to the openings."""
-        return 0.0, 0.0
-
-    def core(self) -> float:
-        """Nothing is added to the laminar core."""
-        return 0.0
-
-    def outlet(
-        self, out_1: Float[Array, "*batch"], out_2: Float[Array, "*batch"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Conductances from chambers 1 and 2 to the return, m^3/(s Pa^0.5)."""
-        return self.effect.outlet(self.memory, out_1, out_2)
+    def volume(self) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """What the lines of chambers 1 and 2 hold between it and the edges, m^3."""
+        raise NotImplementedError
 
 
 class SupplyEffect(Effect):

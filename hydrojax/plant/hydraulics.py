@@ -7,9 +7,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import Point
+from hydrojax.plant.chambers import Lines, Point, refilled
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import StepInput
+from hydrojax.plant.valve import sides
+
+LEAKS = 1e-3
+"""Opening at which a spool that is shut passes as much as leaks along it: it drains a
+line behind a valve that is shut too."""
 
 
 def pressure_step(
@@ -17,9 +22,11 @@ def pressure_step(
     P: tuple[Float[Array, "*batch"], Float[Array, "*batch"]],
     opening: tuple[Float[Array, "*batch"], ...],
     inputs: StepInput,
-    line: tuple = (),
-) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    line: Lines | None = None,
+) -> tuple[tuple[Float[Array, "*batch"], Float[Array, "*batch"]], Lines | None]:
     """Both pressures over one tick, in n substeps of an exponential midpoint rule.
+
+    With them what stands in the lines, its drops after the tick; see `_drops`.
 
     Each substep moves the piston by its exact displacement, so what is left of
     the error is the pressures' own, of second order. Next to P_s or P_r, and in a
@@ -37,32 +44,116 @@ def pressure_step(
     n = (inputs.x.shape[-1] - 1) // 2
     h, x = inputs.h / n, stretch.place(rig.stretch, inputs)
 
-    def at(P, part, x, v):
+    def at(P, part, x, v, line):
         p_s, p_r = (
             p[..., 0] + part * (p[..., 1] - p[..., 0]) for p in (inputs.P_s, inputs.P_r)
         )
         return Point(P[0], P[1], p_s, p_r, opening, x, v, line)
 
-    def substep(P, along):
-        part, x_0, x_1, x_2 = along
+    def substep(begun, along):
+        (P, line), (part, x_0, x_1, x_2) = begun, along
         v = (x_2 - x_0) / h
-        slope, settling = _settling_rates(rig, at(P, part, x_0, v))
+        start = at(P, part, x_0, v, line)
+        slope, settling = _settling_rates(rig, start)
         moved = tuple(
             h / 2 * _relax(b * h / 2) * r for r, b in zip(slope, settling, strict=True)
         )
         middle = (P[0] + moved[0], P[1] + moved[1])
-        slope = rig.pressure_rates(at(middle, part + 0.5 / n, x_1, v))
-        P = tuple(
-            p + h * _relax(b * h) * (r + b * m)
-            for p, r, b, m in zip(P, slope, settling, moved, strict=True)
+        slope = rig.pressure_rates(at(middle, part + 0.5 / n, x_1, v, line))
+        moved = tuple(
+            h * _relax(b * h) * (r + b * m)
+            for r, b, m in zip(slope, settling, moved, strict=True)
         )
-        return P, None
+        P = (P[0] + moved[0], P[1] + moved[1])
+        if line is not None:
+            line = rig.line_step(line, refilled(middle[0]), refilled(middle[1]), h)
+            more, line = _drops(rig, start, line, h, moved)
+            P = (P[0] + more[0], P[1] + more[1])
+        return (P, line), None
 
     if n == 1:
-        return substep(P, (0.0, x[..., 0], x[..., 1], x[..., 2]))[0]
+        return substep((P, line), (0.0, x[..., 0], x[..., 1], x[..., 2]))[0]
     # A loop, not a chain: a program of one substep compiles n times as fast.
     ends = [jnp.moveaxis(x[..., i : i + 2 * n : 2], -1, 0) for i in range(3)]
-    return jax.lax.scan(substep, P, (jnp.arange(n) / n, *ends))[0]
+    return jax.lax.scan(substep, (P, line), (jnp.arange(n) / n, *ends))[0]
+
+
+def _drops(
+    rig: Rig, at: Point, line: Lines, h: Float[Array, "*batch"], moved: tuple
+) -> tuple[tuple, Lines]:
+    """By how much both chambers' pressures move on as oil passes between them and their
+    lines in a substep, Pa, and the lines after it.
+
+    `moved` is by how much the mean pressure of chamber and line has moved. Implicit:
+    either may settle within a fraction of the substep.
+    """
+    (q, slopes), (_, beside) = _edges(rig, at), rig.flows(at)
+    swept = (rig.chambers.area_1 * at.v, -rig.chambers.area_2 * at.v)
+    more, drops = [], []
+    for i, (C, C_l) in enumerate(_capacities(rig, at)):
+        d, share = line.drop[i], C / (C + C_l)
+        taken = q[i] + slopes[i] * (moved[i] + share * d)
+        goal = d + h * ((beside[i] + swept[i]) / C - taken / C_l)
+        slower = 1 - h * slopes[i] * share / C_l
+        drops.append(_lost(rig, line, i, h * (1 / C + 1 / C_l) / slower, goal / slower))
+        more.append((1 - share) * (drops[i] - d))
+    return tuple(more), line._replace(drop=tuple(drops))
+
+
+def follow_drops(
+    rig: Rig, at: Point, line: Lines, h: Float[Array, "*batch"], moved: tuple
+) -> Lines:
+    """The lines after a tick over which the chambers' pressures rise by `moved`, Pa."""
+    at = at._replace(line=line)
+    q, slopes = _edges(rig, at)
+    drops = []
+    for i, (_, C_l) in enumerate(_capacities(rig, at)):
+        b = h / (C_l - h * slopes[i])
+        goal = moved[i] + line.drop[i] - b * q[i]
+        drops.append(_lost(rig, line, i, b, goal))
+    return line._replace(drop=tuple(drops))
+
+
+def settled_drops(rig: Rig, at: Point, line: Lines) -> Lines:
+    """The lines where what leaves the chambers has long left through the edges."""
+    drops = []
+    a, b = sides(*at.opening) if len(at.opening) == 1 else at.opening
+    least = tuple(jnp.maximum(o, LEAKS) for o in (a, b))
+    q = rig.flows(at._replace(opening=least))[0]
+    for P, out, r in zip((at.P_a1, at.P_a2), q, rig.line_losses(line), strict=True):
+        lost = r * jnp.minimum(out, 0.0) ** 2
+        head = jnp.maximum(P - at.P_r, 1.0)
+        drops.append(lost / (1 + lost / head))
+    return line._replace(drop=tuple(drops))
+
+
+def _lost(
+    rig: Rig, line: Lines, i: int, b: Float[Array, "*batch"], goal: Array
+) -> Float[Array, "*batch"]:
+    """The drop `r Q^2` at which `r Q^2 + b Q = goal`, Pa; none where oil enters."""
+    r = rig.line_losses(line)[i]
+    goal = jnp.where(goal > 0, goal, 0.0)
+    Q = 2 * goal / (b + jnp.sqrt(b * b + 4 * r * goal))
+    return r * Q * Q
+
+
+def _edges(rig: Rig, at: Point) -> tuple[tuple, tuple]:
+    """Flows through the edges into the lines, and their slopes by their pressures."""
+
+    def one(i):
+        def flow(p):
+            here = at._replace(P_a1=p) if i == 0 else at._replace(P_a2=p)
+            return rig.flows(here)[0][i]
+
+        p = (at.P_a1, at.P_a2)[i]
+        return jax.jvp(flow, (p,), (jnp.ones_like(p),))
+
+    (q_1, s_1), (q_2, s_2) = one(0), one(1)
+    return (q_1, q_2), (s_1, s_2)
+
+
+def _capacities(rig: Rig, at: Point) -> tuple:
+    return rig.chambers.capacities(at, rig.compliance, rig.volume, rig.line)
 
 
 def _settling_rates(rig: Rig, at: Point) -> tuple[tuple, tuple]:

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import Point, refilled
-from hydrojax.plant.replay import Windows, follow_lines, lines_before, openings
+from hydrojax.plant.chambers import Lines, Point, refilled
+from hydrojax.plant.replay import Windows, follow_line, line_start, openings
 from hydrojax.plant.rig import Rig
 
 
@@ -38,20 +38,28 @@ def imbalance_behind(
     if rig.stretch:
         F = jnp.stack([w.F[:, :-1], w.F[:, 1:]], axis=-1)
         x = x + stretch.ahead(rig.stretch, stretch.along(F, n - 1))
+    lines = _lines_along(rig, w, opened)
     at = Point(
         refilled(middle(w.P_a1)),
         refilled(middle(w.P_a2)),
         middle(w.P_s),
         middle(w.P_r),
-        tuple(o.T for o in opened),
+        tuple(o[-w.x_fine.shape[1] :].T for o in opened),
         x=x[..., n // 2],
         v=(x[..., -1] - x[..., 0]) / h,
-        line=_lines(rig, w),
+        line=None if lines is None else lines[0],
     )
     rates, per_speed = jax.jvp(
         lambda v: rig.pressure_rates(at._replace(v=v)), (at.v,), (jnp.ones_like(at.v),)
     )
     measured = (jnp.diff(w.P_a1, axis=1), jnp.diff(w.P_a2, axis=1))
+    if lines is not None:
+        # Of the mean of chamber and line.
+        parts = rig.chambers.capacities(at, rig.compliance, rig.volume, rig.line)
+        measured = tuple(
+            dP - C_l / (C + C_l) * change
+            for dP, (C, C_l), change in zip(measured, parts, lines[1], strict=True)
+        )
     one, two = (
         (dP - h * rate) / slope
         for dP, rate, slope in zip(measured, rates, per_speed, strict=True)
@@ -59,8 +67,25 @@ def imbalance_behind(
     return one, two
 
 
-def _lines(rig: Rig, w: Windows) -> tuple:
-    """What stands in the lines over the windows' ticks, by the measured pressures."""
-    ticks = (w.P_a1.T[:-1], w.P_a2.T[:-1], w.h.T[:-1])
-    memories = jax.lax.scan(follow_lines(rig), lines_before(rig, w), ticks)[1]
-    return jax.tree.map(lambda a: a.T, memories)
+def _lines_along(
+    rig: Rig, w: Windows, opened: tuple[Float[Array, "ticks windows"], ...]
+) -> tuple[Lines, tuple] | None:
+    """What stands in the lines in the middle of every tick, [W, lead+T-1], and by how
+    much its drops change over it; by the measured pressures.
+    """
+    start = line_start(rig, w, opened)
+    if start is None:
+        return None
+
+    def middle(line, tick):
+        after = follow_line(rig, line, *tick)
+        pairs = list(zip(line.drop, after.drop, strict=True))
+        drop = tuple((a + b) / 2 for a, b in pairs)
+        return after, (after._replace(drop=drop), tuple(b - a for a, b in pairs))
+
+    P_1, P_2, P_s, P_r, v = (a.T[:-1] for a in (w.P_a1, w.P_a2, w.P_s, w.P_r, w.v))
+    own = tuple(o[-len(P_1) :] for o in opened)
+    at = Point(P_1, P_2, P_s, P_r, own, w.x_fine[..., w.x_fine.shape[-1] // 2].T, v)
+    moved = (jnp.diff(w.P_a1, axis=1).T, jnp.diff(w.P_a2, axis=1).T)
+    along = jax.lax.scan(middle, start, (at, w.h.T[:-1], moved))[1]
+    return jax.tree.map(lambda a: a.T, along)

@@ -10,7 +10,6 @@ log gives the same signals.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -20,10 +19,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import refilled
+from hydrojax.plant.chambers import Lines, Point, refilled
 from hydrojax.plant.effect import CommandDelay
 from hydrojax.plant.friction import Sliding, run_linear
-from hydrojax.plant.hydraulics import pressure_step
+from hydrojax.plant.hydraulics import follow_drops, pressure_step, settled_drops
 from hydrojax.plant.rig import PARTS, Rig, mean_opening
 from hydrojax.plant.state import StepInput
 
@@ -133,6 +132,10 @@ NEAR, EACH = 60, 5
 the ticks of a step ahead of those: a spool that slews slowly remembers longer than it
 need be known tick by tick."""
 
+IN_LINES = 25
+"""Ticks right ahead of a window over which the lines are followed: a line takes some
+ten to fill or empty."""
+
 Held = tuple[Float[Array, "steps windows parts"], Float[Array, "steps windows"]]
 """The command's mean over the parts of each step, and the steps' lengths, s."""
 
@@ -200,19 +203,25 @@ def _through(
 
 
 def openings(rig: Rig, w: Windows) -> tuple[Float[Array, "ticks windows"], ...]:
-    """The spool's opening over each tick of the windows, as `Point` has it."""
+    """The spool's opening over each tick of the windows, as `Point` has it.
+
+    Where something stands in the lines, over up to `IN_LINES` ticks ahead of them too.
+    """
     rig, ahead, goals = _commands(rig, w)
+    held = (goals, w.h[:, :-1].T)
+    if rig.line:
+        near = len(ahead[1]) - min(IN_LINES, w.before.shape[1])
+        held = tuple(
+            jnp.concatenate([a[near:], b]) for a, b in zip(ahead, held, strict=True)
+        )
+        ahead = tuple(a[:near] for a in ahead)
 
     def warm(memory, held):
         return _through(rig, memory, *held)[0], None
 
-    memory = rig.command_init(ahead[0][0][..., 0])
+    memory = rig.command_init((ahead if len(ahead[1]) else held)[0][0][..., 0])
     memory, _ = jax.lax.scan(warm, memory, ahead)
-    return jax.lax.scan(
-        lambda memory, at: _through(rig, memory, *at),
-        memory,
-        (goals, w.h[:, :-1].T),
-    )[1]
+    return jax.lax.scan(lambda memory, at: _through(rig, memory, *at), memory, held)[1]
 
 
 def pressures(
@@ -232,8 +241,7 @@ def pressures_behind(
 
     def advance(carry, at):
         (line, P), (opening, inputs) = carry, at
-        line = rig.line_step(line, refilled(P[0]), refilled(P[1]), inputs.h)
-        P = pressure_step(rig, P, opening, inputs, line)
+        P, line = pressure_step(rig, P, opening, inputs, line)
         return (line, P), (refilled(P[0]), refilled(P[1]))
 
     def ends(p):
@@ -253,29 +261,61 @@ def pressures_behind(
     )
     inputs = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), inputs)
     P = (P_0[:, 0], P_0[:, 1])
-    start = (lines_before(rig, w), P)
-    _, (P_a1, P_a2) = jax.lax.scan(advance, start, (opened, inputs))
+    start = (line_start(rig, w, opened), P)
+    own = tuple(o[-len(inputs.u) :] for o in opened)
+    _, (P_a1, P_a2) = jax.lax.scan(advance, start, (own, inputs))
     return (
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),
     )
 
 
-def follow_lines(rig: Rig) -> Callable:
-    """What stands in the lines over ticks (P_1, P_2, h), for a scan."""
+def follow_line(
+    rig: Rig, line: Lines, at: Point, h: Float[Array, "windows"], moved: tuple
+) -> Lines:
+    """What stands in the lines after a tick from `at`, over which the chambers'
+    pressures rise by `moved`, Pa.
+    """
+    middle = (at.P_a1 + moved[0] / 2, at.P_a2 + moved[1] / 2)
+    return follow_drops(rig, at, rig.line_step(line, *middle, h), h, moved)
 
-    def follow(memory, tick):
-        memory = rig.line_step(memory, *tick)
-        return memory, memory
 
-    return follow
+def line_start(
+    rig: Rig, w: Windows, opened: tuple[Float[Array, "ticks windows"], ...]
+) -> Lines | None:
+    """What stands in the lines where the windows begin, by the measured pressures
+    ahead of them.
+    """
+    P_1, P_2 = (
+        jnp.concatenate([before.T, own[:, :1].T])
+        for before, own in zip(
+            jnp.moveaxis(w.P_before, 2, 0), (w.P_a1, w.P_a2), strict=True
+        )
+    )
+    line, h = rig.line_init(P_1[0], P_2[0]), w.before_h.T
+    if line is None:
+        return None
 
+    def settle(line, tick):
+        return rig.line_step(line, *tick), None
 
-def lines_before(rig: Rig, w: Windows) -> tuple:
-    """What stands in the lines where the windows begin, by the measured pressures."""
-    P_1, P_2 = jnp.moveaxis(w.P_before, (2, 1), (0, 1))
-    start = rig.line_init(P_1[0], P_2[0])
-    return jax.lax.scan(follow_lines(rig), start, (P_1, P_2, w.before_h.T))[0]
+    near = len(opened[0]) - w.x_fine.shape[1]
+    far = len(h) - near
+    line = jax.lax.scan(settle, line, (P_1[:far], P_2[:far], h[:far]))[0]
+
+    P_1, P_2 = P_1[far:], P_2[far:]
+    P_s, P_r, x, v = (
+        jnp.broadcast_to(a[:, 0], P_1.shape) for a in (w.P_s, w.P_r, w.x, w.v)
+    )
+    at = Point(P_1, P_2, P_s, P_r, tuple(o[: near + 1] for o in opened), x, v)
+    line = settled_drops(rig, jax.tree.map(lambda a: a[0], at), line)
+    moved = (jnp.diff(P_1, axis=0), jnp.diff(P_2, axis=0))
+    ticks = (jax.tree.map(lambda a: a[:near], at), h[far:], moved)
+
+    def follow(line, tick):
+        return follow_line(rig, line, *tick), None
+
+    return jax.lax.scan(follow, line, ticks)[0]
 
 
 def _sense(

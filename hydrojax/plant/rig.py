@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import Chambers, Point, refilled
-from hydrojax.plant.effect import Effect, InLine
+from hydrojax.plant.chambers import Chambers, Lines, Point, refilled
+from hydrojax.plant.effect import Effect
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import Layout
 from hydrojax.plant.places import PLACES
@@ -112,22 +112,56 @@ class Rig(eqx.Module):
 
     def line_init(
         self, P_1: Float[Array, "*batch"], P_2: Float[Array, "*batch"]
-    ) -> tuple:
-        """Memory of what stands in the lines, at rest at these pressures (Pa)."""
-        return tuple(effect.init(P_1, P_2) for effect in self.line)
+    ) -> Lines | None:
+        """What stands in the lines after a long rest at these pressures (Pa)."""
+        if not self.line:
+            return None
+        memory = tuple(effect.init(P_1, P_2) for effect in self.line)
+        return Lines(memory, (0 * P_1, 0 * P_2))
 
     def line_step(
         self,
-        memory: tuple,
+        line: Lines,
         P_1: Float[Array, "*batch"],
         P_2: Float[Array, "*batch"],
         h: Float[Array, "*batch"],
-    ) -> tuple:
-        """That memory over a tick of length `h` (s) that begins at these pressures."""
-        return tuple(
+    ) -> Lines:
+        """The same, its memories after `h` s at these pressures."""
+        memory = tuple(
             effect.step(m, P_1, P_2, h)
-            for effect, m in zip(self.line, memory, strict=True)
+            for effect, m in zip(self.line, line.memory, strict=True)
         )
+        return line._replace(memory=memory)
+
+    def line_losses(
+        self, line: Lines
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """What the flows out of chambers 1 and 2 lose in the lines, Pa s^2/m^6."""
+        one = two = jnp.zeros(())
+        for effect, memory in zip(self.line, line.memory, strict=True):
+            loss_1, loss_2 = effect.loss(memory)
+            one, two = one + loss_1, two + loss_2
+        return one, two
+
+    def flows(
+        self, at: Point
+    ) -> tuple[
+        tuple[Float[Array, "*batch"], Float[Array, "*batch"]],
+        tuple[Float[Array, "..."], Float[Array, "..."]],
+    ]:
+        """Flows toward both chambers through the edges, (12)(13), and what effects add,
+        m^3/s.
+        """
+        full = at._replace(P_a1=refilled(at.P_a1), P_a2=refilled(at.P_a2))
+        edges = full
+        if at.line is not None:
+            drop_1, drop_2 = at.line.drop
+            edges = full._replace(P_a1=full.P_a1 - drop_1, P_a2=full.P_a2 - drop_2)
+        one = two = jnp.zeros(())
+        for effect in self.flow:
+            e_1, e_2 = effect.flow(full)
+            one, two = one + e_1, two + e_2
+        return self.valve.flows(edges, self.supply, self.orifice), (one, two)
 
     def pressure_rates(
         self, at: Point
@@ -136,13 +170,10 @@ class Rig(eqx.Module):
 
         Below `P_VAPOUR` they are those of the volume that a chamber lacks.
         """
-        full = at._replace(P_a1=refilled(at.P_a1), P_a2=refilled(at.P_a2))
-        lines = (InLine(e, m) for e, m in zip(self.line, at.line, strict=True))
-        q_1, q_2 = self.valve.flows(full, self.supply, (*self.orifice, *lines))
-        for effect in self.flow:
-            e_1, e_2 = effect.flow(full)
-            q_1, q_2 = q_1 + e_1, q_2 + e_2
-        return self.chambers.rates(at, q_1, q_2, self.compliance, self.volume)
+        (q_1, q_2), (more_1, more_2) = self.flows(at)
+        return self.chambers.rates(
+            at, q_1 + more_1, q_2 + more_2, self.compliance, self.volume, self.line
+        )
 
     def drive_force(
         self, P_a1: Float[Array, "*batch"], P_a2: Float[Array, "*batch"]

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 from jaxtyping import Array, Float
 
+from hydrojax.plant.chambers import Lines
+
 
 class StepInput(NamedTuple):
     """What drives the plant over one tick of length `h`; SI.
@@ -56,4 +58,4 @@ class State(NamedTuple):
     rod: tuple = ()
     motion: Any = ()
     lacking: tuple = (0.0, 0.0)
-    line: tuple = ()
+    line: Lines | None = None

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.plant.chambers import Point, refilled
+from hydrojax.plant.chambers import Lines, Point, refilled
 from hydrojax.plant.friction import Sliding
 from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.load import AbstractLoad, Prescribed, environment_of
@@ -123,24 +123,24 @@ def act(
     inputs: StepInput,
 ) -> State:
     """Pressures, bristle and filtered speed after a tick under `opening`."""
-    state = state._replace(line=rig.line_step(state.line, *state.P, inputs.h))
     if rig.stretch and inputs.F is None:
         F = _stretching_force(rig, state, opening, inputs)
         inputs = inputs._replace(F=jnp.stack([state.rod[0], F], axis=-1))
         state = state._replace(rod=(F,))
-    P = _pressures(rig, state, opening, inputs)
-    return _with_pressures(rig.slide(state, inputs), P, inputs)
+    P, line = _pressures(rig, state, opening, inputs)
+    state = _with_pressures(rig.slide(state, inputs), P, inputs)
+    return state._replace(line=line)
 
 
 def _pressures(
     rig: Rig, state: State, opening: tuple[Array, ...], inputs: StepInput
-) -> tuple[Array, Array]:
+) -> tuple[tuple[Array, Array], Lines | None]:
     """Both pressures at the tick's end, Pa; a drive force that is given as P_a2.
 
-    As `pressure_step` has them: less what a chamber lacks.
+    As `pressure_step` has them: less what a chamber lacks; with what is in the lines.
     """
     if inputs.P is not None:
-        return 0 * inputs.P, inputs.P / rig.force_area_2
+        return (0 * inputs.P, inputs.P / rig.force_area_2), state.line
     P = (state.P[0] + state.lacking[0], state.P[1] + state.lacking[1])
     return pressure_step(rig, P, opening, inputs, state.line)
 
@@ -158,7 +158,7 @@ def _pressure_rates_per_speed(
     P: tuple[Array, Array],
     opening: tuple[Array, ...],
     inputs: StepInput,
-    line: tuple,
+    line: Lines | None,
 ) -> tuple[Array, Array]:
     """By how much the pressures rise when the piston moves on, Pa/m."""
     if inputs.P is not None:
@@ -184,7 +184,7 @@ def _stretching_force(
     """
     F_0 = state.rod[0]
     held = inputs._replace(F=jnp.stack([F_0, F_0], axis=-1))
-    P = _pressures(rig, state, opening, held)
+    P, _ = _pressures(rig, state, opening, held)
     per_metre = _pressure_rates_per_speed(rig, P, opening, inputs, state.line)
     begun = (state, inputs, P, per_metre)
 

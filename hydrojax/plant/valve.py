@@ -146,9 +146,7 @@ class AbstractValve(eqx.Module):
                 `sides(*at.opening)`, or `at.opening` if it holds two, is the opening
                 toward either side, in the command's unit.
             drops: effects ahead of the valve, each with `drop(conductance, available)`.
-            orifices: effects of the edges, each with `opening(spool)`, `core()` and
-                `outlet(out_1, out_2)`: the conductances from chambers 1 and 2 to the
-                return, of the edges and with what else stands in these lines.
+            orifices: effects of the edges, each with `opening(spool)` and `core()`.
         """
 
 
@@ -168,8 +166,7 @@ class MeteringEdges(AbstractValve):
         `drops` are effects ahead of the valve: each maps the conductance of the edge
         that draws on the supply (m^3/(s Pa^0.5)) and the pressure available across
         it to a pressure drop. `orifices` are effects of the edges themselves: what
-        they add to the openings and to the square of the laminar core, and what stands
-        in series with the edges to the return.
+        they add to the openings and to the square of the laminar core.
         """
         if len(at.opening) == 1 and not orifices:
             return self._on_one_side(at, drops)
@@ -189,8 +186,6 @@ class MeteringEdges(AbstractValve):
         q_1 = drawn(self.c_p1 * open_p, at.P_a1)
         q_2 = drawn(self.c_p2 * open_n, at.P_a2)
         out_1, out_2 = self.c_n1 * open_n, self.c_n2 * open_p
-        for edge in orifices:
-            out_1, out_2 = edge.outlet(out_1, out_2)
         q_1 = q_1 - out_1 * root(at.P_a1 - at.P_r)
         q_2 = q_2 - out_2 * root(at.P_a2 - at.P_r)
         return q_1, q_2

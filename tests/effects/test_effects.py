@@ -571,8 +571,9 @@ def full(rig):
         for name, spec in parameter_specs(rig).items()
         if spec.strength
     }
-    # Nearly shut at these pressures: open it loses next to nothing.
-    new["counterbalance.P_set"] = 2.1e7
+    # Half open at these pressures, ahead of lines that these small chambers can hold.
+    new["counterbalance.P_set"] = 1.9e7
+    new["counterbalance.V_line"] = 2e-5
     return put(rig, list(new), list(new.values()))
 
 

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,10 +10,12 @@ from scipy.integrate import solve_ivp
 from scipy.signal import TransferFunction, lsim
 
 from hydrojax.effects import EFFECTS as KNOWN
+from hydrojax.parameters import put
 from hydrojax.plant.chambers import Point
-from hydrojax.plant.effect import InLine
+from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.rig import add, bare_rig
+from hydrojax.plant.state import StepInput
 
 EFFECTS: dict[str, Any] = KNOWN
 """Each class with the method of its own place."""
@@ -26,11 +29,16 @@ def point(P_1, P_2, u):
     return Point(*at, (np.float64(u),), np.float64(0.0), np.float64(0.0))
 
 
+STILL = StepInput(
+    h=jnp.asarray(0.0), u=jnp.asarray(0.0), P_s=jnp.full(2, P_S), P_r=jnp.full(2, P_R),
+    x=jnp.zeros(3), dx=None, v=jnp.asarray(0.0), a=jnp.asarray(0.0), t=jnp.asarray(0.0),
+)  # fmt: skip
+
+
 def flows(effect, at):
     """Flows into both chambers, at rest."""
     rig = add(bare_rig(LAYOUTS["differential"], GEOMETRY), [effect])
-    lines = [InLine(e, e.init(at.P_a1, at.P_a2)) for e in rig.line]
-    return np.array(rig.valve.flows(at, rig.supply, (*rig.orifice, *lines)))
+    return np.array(rig.valve.flows(at, rig.supply, rig.orifice))
 
 
 @pytest.mark.parametrize("s", [0.4, 1.0])
@@ -59,42 +67,122 @@ def test_a_flow_curve_is_whole_at_full_command(u_full):
 
 
 def test_a_counterbalance_valve_opens_by_its_pilot():
-    """In series with the edge; shut below its setting but for a leak; by thirds of its
-    way; open; the other way free.
-    """
-    own = 2 * C
-    effect = EFFECTS["counterbalance"](
-        k_2=1 / own**2, P_set=1.2e7, ratio=3.0, dP_full=9e6
-    )
-    for pilot, share in ((1e6, 0.01), (3e6, 1 / 3), (4e6, 2 / 3), (8e6, 1.0)):
-        q = flows(effect, point(pilot, 6e6, 0.5))
-        lost = 1 / (C * 0.5) ** 2 + 1 / (own * share) ** 2
-        want = -np.sqrt((6e6 - P_R) / lost)
-        assert q[1] == pytest.approx(want, rel=1e-5)
-        assert q[0] == pytest.approx(C * 0.5 * np.sqrt(P_S - pilot), rel=1e-5)
-    lifted = flows(effect, point(1e6, 6e6, -0.5))
-    assert lifted[1] == pytest.approx(C * 0.5 * np.sqrt(P_S - 6e6), rel=1e-5)
-    assert lifted[0] == pytest.approx(-C * 0.5 * np.sqrt(1e6 - P_R), rel=1e-5)
+    """Shut below its setting but for a leak; by thirds of its way; open."""
+    effect = EFFECTS["counterbalance"](k_2=1.0, P_set=1.2e7, ratio=3.0, dP_full=9e6)
+    for pilot, share in ((1e6, 0.001), (3e6, 1 / 3), (4e6, 2 / 3), (8e6, 1.0)):
+        losses = effect.loss(effect.init(np.float64(pilot), np.float64(6e6)))
+        assert float(losses[0]) == 0.0
+        assert float(losses[1]) == pytest.approx(share**-2, rel=1e-9)
 
 
-def test_a_counterbalance_valve_comes_late():
-    """Its poppet after a step of the pilot, and its mean over each tick, in closed
-    form.
+def test_a_counterbalance_valves_pilot_comes_late():
+    """After a step of the pilot, as means over each tick, in closed form; its own
+    chamber's pressure acts at once.
     """
     tau, h = 0.08, 0.01
     effect = EFFECTS["counterbalance"](
-        k_2=1e16, P_set=1.2e7, ratio=3.0, dP_full=9e6, tau=tau
+        k_2=1.0, P_set=1.2e7, ratio=3.0, dP_full=9e6, tau=tau
     )
     memory = effect.init(np.float64(3e6), np.float64(6e6))
-    first, last = 1 / 3, 2 / 3
     for i in range(20):
-        memory = effect.step(memory, np.float64(4e6), np.float64(6e6), h)
+        own = 6e6 + 1e4 * i
+        memory = effect.step(memory, np.float64(4e6), np.float64(own), h)
         ends = np.array([i, i + 1]) * h
-        share = last + (first - last) * np.exp(-ends / tau)
+        pilot = 4e6 - 1e6 * np.exp(-ends / tau)
         # The integral of what falls off, over the tick.
-        mean = last + (first - last) * -np.diff(np.exp(-ends / tau))[0] * tau / h
-        assert float(memory[0][1]) == pytest.approx(share[1], rel=1e-12)
-        assert float(memory[1][1]) == pytest.approx(mean, rel=1e-12)
+        mean = 4e6 + 1e6 * np.diff(np.exp(-ends / tau))[0] * tau / h
+        assert float(memory[0][1]) == pytest.approx(pilot[1], rel=1e-12)
+        share = (own + 3.0 * mean - 1.2e7) / 9e6
+        assert float(effect.loss(memory)[1]) == pytest.approx(share**-2, rel=1e-9)
+
+
+CYLINDER = {"area_1": 5.3e-3, "area_2": 7.9e-3, "chamber_length": 0.63}
+VALVE = {
+    "k_2": 2.5e11, "P_set": 1.2e7, "ratio": 2.8, "dP_full": 1.8e7, "tau": 0.09,
+    "V_line": 8e-4,
+}  # fmt: skip
+EDGE, BETA = 1.5e-6, 1e9
+WAVES = ((0.3, 0.09, 0.8), (0.1, 0.03, 2.3))
+"""Command, speed (m/s) and Hz of each wave: the piston goes roughly with the oil."""
+
+
+def command(t):
+    return sum(u * np.sin(2 * np.pi * f * t) for u, _, f in WAVES)
+
+
+def place(t):
+    return sum(
+        v / (2 * np.pi * f) * (np.cos(2 * np.pi * f * t) - 1) for _, v, f in WAVES
+    )
+
+
+def speed(t):
+    return -sum(v * np.sin(2 * np.pi * f * t) for _, v, f in WAVES)
+
+
+def boom(t, state, u):
+    """Rates of P_a1, P_a2, the pressure at chamber 2's edges and the late pilot."""
+    P_1, P_2, edge, pilot = state
+
+    def flow(drop):
+        return EDGE * drop / (drop * drop + 4e6) ** 0.25
+
+    up, down = max(u, 0.0), max(-u, 0.0)
+    q_1 = up * flow(P_S - P_1) - down * flow(P_1 - P_R)
+    q_edge = down * flow(P_S - edge) - up * flow(edge - P_R)
+    share = np.clip((P_2 + 2.8 * pilot - 1.2e7) / 1.8e7, 1e-3, 1.0)
+    # Out through the valve, k Q sqrt(Q^2 + Q_0^2); in through its check valve.
+    ratio, Q_0 = (P_2 - edge) * share**2 / VALVE["k_2"], 1e-6
+    out = ratio / np.sqrt(0.5 * Q_0**2 + np.sqrt(0.25 * Q_0**4 + ratio**2))
+    if edge > P_2:
+        out = 1e-6 * (P_2 - edge)
+    half, x, v = CYLINDER["chamber_length"] / 2, place(t), speed(t)
+    V_1 = CYLINDER["area_1"] * (half - x)
+    V_2 = CYLINDER["area_2"] * (half + x) - VALVE["V_line"]
+    return [
+        BETA / V_1 * (q_1 + CYLINDER["area_1"] * v),
+        BETA / V_2 * (-out - CYLINDER["area_2"] * v),
+        BETA / VALVE["V_line"] * (q_edge + out),
+        (P_1 - pilot) / VALVE["tau"],
+    ]
+
+
+@pytest.mark.parametrize(("h", "substeps", "off"), [(1e-2, 4, 0.003), (2e-3, 4, 6e-4)])
+def test_a_line_behind_a_counterbalance_valve_keeps_its_pressure(h, substeps, off):
+    """Lowered and lifted, against a stiff solver: RMS in shares of the range, and at
+    the edges too.
+    """
+    rig = add(
+        bare_rig(LAYOUTS["differential"], CYLINDER),
+        [EFFECTS["counterbalance"](**VALVE)],
+    )
+    rig = put(rig, ["c_p1", "c_n1", "c_p2", "c_n2", "beta"], [EDGE] * 4 + [BETA])
+    start = (2e6, 6e6)
+
+    def one(carry, tick):
+        u, x = tick
+        P, line = pressure_step(
+            rig, carry[0], (u,), STILL._replace(h=jnp.asarray(h), x=x), carry[1]
+        )
+        return (P, line), jnp.stack([*P, P[1] - line.drop[1]])
+
+    t = h * np.arange(round(1.5 / h))
+    fine = t[:, None] + h * np.linspace(0, 1, 2 * substeps + 1)
+    P = tuple(jnp.asarray(p) for p in start)
+    ticks = (jnp.asarray(command(t)), jnp.asarray(place(fine)))
+    got = np.asarray(jax.lax.scan(one, (P, rig.line_init(*P)), ticks)[1])
+
+    want = [np.array([*start, start[1], start[0]])]
+    for now in t:
+        part = solve_ivp(
+            boom, (now, now + h), want[-1], "LSODA", rtol=1e-8,
+            atol=[1.0, 1.0, 1.0, 1.0], args=(command(now),),
+        )  # fmt: skip
+        want.append(part.y[:, -1])
+    want = np.array(want)[1:, :3]
+    assert np.max(want[:, 1] - want[:, 2]) > 2e6  # the line does part
+    error = np.sqrt(np.mean((got - want) ** 2, axis=0)) / np.ptp(want, axis=0)
+    assert np.all(error < off)
 
 
 @pytest.mark.parametrize(("omega", "zeta"), [(6.0, 0.8), (40.0, 0.5), (125.0, 0.95)])

@@ -12,7 +12,13 @@ from hydrojax.effects import EFFECTS
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant import stretch
 from hydrojax.plant.layout import LAYOUTS
-from hydrojax.plant.replay import friction_memory, pressures, readings
+from hydrojax.plant.replay import (
+    friction_memory,
+    line_start,
+    openings,
+    pressures,
+    readings,
+)
 from hydrojax.plant.rig import add, bare_rig
 from hydrojax.plant.state import State, StepInput
 from hydrojax.plant.step import start, step
@@ -77,7 +83,7 @@ def by_steps(rig, log):
         sensor_P=tuple(sensors(rig.gauge(i), true[..., i]) for i in range(2)),
         sensor_F=sensors(rig.sensor_F, true[..., 2]),
         lacking=(0 * P_0[:, 0], 0 * P_0[:, 1]),
-        line=rig.line_init(w.P_before[:, -1, 0], w.P_before[:, -1, 1]),
+        line=line_start(rig, w, openings(rig, w)),
     )
     index = w.seg[:, None], w.first[:, None] + jnp.arange(1, ticks)
     along = StepInput(
