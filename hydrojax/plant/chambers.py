@@ -177,5 +177,5 @@ class Chambers(eqx.Module):
 
     def _compliance(
         self, P: Float[Array, "*batch"], softness: tuple
-    ) -> Float[Array, "*batch"]:
+    ) -> Float[Array, "..."]:
         return 1 / self.beta + sum(s.compliance(P) for s in softness)

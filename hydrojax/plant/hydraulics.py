@@ -87,7 +87,8 @@ def _drops(
     `moved` is by how much the mean pressure of chamber and line has moved. Implicit:
     either may settle within a fraction of the substep.
     """
-    (q, slopes), (_, beside) = _edges(rig, at), rig.flows(at)
+    (q, beside), slopes = _edges(rig, at)
+    loss = rig.line_losses(line)
     swept = (rig.chambers.area_1 * at.v, -rig.chambers.area_2 * at.v)
     more, drops = [], []
     for i, (C, C_l) in enumerate(_capacities(rig, at)):
@@ -95,7 +96,7 @@ def _drops(
         taken = q[i] + slopes[i] * (moved[i] + share * d)
         goal = d + h * ((beside[i] + swept[i]) / C - taken / C_l)
         slower = 1 - h * slopes[i] * share / C_l
-        drops.append(_lost(rig, line, i, h * (1 / C + 1 / C_l) / slower, goal / slower))
+        drops.append(_lost(loss[i], h * (1 / C + 1 / C_l) / slower, goal / slower))
         more.append((1 - share) * (drops[i] - d))
     return tuple(more), line._replace(drop=tuple(drops))
 
@@ -105,12 +106,12 @@ def follow_drops(
 ) -> Lines:
     """The lines after a tick over which the chambers' pressures rise by `moved`, Pa."""
     at = at._replace(line=line)
-    q, slopes = _edges(rig, at)
-    drops = []
+    (q, _), slopes = _edges(rig, at)
+    loss, drops = rig.line_losses(line), []
     for i, (_, C_l) in enumerate(_capacities(rig, at)):
         b = h / (C_l - h * slopes[i])
         goal = moved[i] + line.drop[i] - b * q[i]
-        drops.append(_lost(rig, line, i, b, goal))
+        drops.append(_lost(loss[i], b, goal))
     return line._replace(drop=tuple(drops))
 
 
@@ -128,28 +129,25 @@ def settled_drops(rig: Rig, at: Point, line: Lines) -> Lines:
 
 
 def _lost(
-    rig: Rig, line: Lines, i: int, b: Float[Array, "*batch"], goal: Array
+    r: Float[Array, "*batch"], b: Float[Array, "*batch"], goal: Float[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
     """The drop `r Q^2` at which `r Q^2 + b Q = goal`, Pa; none where oil enters."""
-    r = rig.line_losses(line)[i]
     goal = jnp.where(goal > 0, goal, 0.0)
     Q = 2 * goal / (b + jnp.sqrt(b * b + 4 * r * goal))
     return r * Q * Q
 
 
 def _edges(rig: Rig, at: Point) -> tuple[tuple, tuple]:
-    """Flows through the edges into the lines, and their slopes by their pressures."""
+    """Flows as `Rig.flows` has them, and slopes of those through the edges by the
+    pressure at them: an edge knows no other chamber's.
+    """
 
-    def one(i):
-        def flow(p):
-            here = at._replace(P_a1=p) if i == 0 else at._replace(P_a2=p)
-            return rig.flows(here)[0][i]
+    def flows(P_1, P_2):
+        return rig.flows(at._replace(P_a1=P_1, P_a2=P_2))
 
-        p = (at.P_a1, at.P_a2)[i]
-        return jax.jvp(flow, (p,), (jnp.ones_like(p),))
-
-    (q_1, s_1), (q_2, s_2) = one(0), one(1)
-    return (q_1, q_2), (s_1, s_2)
+    own = (at.P_a1, at.P_a2)
+    found, slopes = jax.jvp(flows, own, tuple(jnp.ones_like(p) for p in own))
+    return found, slopes[0]
 
 
 def _capacities(rig: Rig, at: Point) -> tuple:
