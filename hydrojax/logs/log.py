@@ -4,7 +4,7 @@ A CSV or Parquet column is called `name [unit]`. In a MAT file the vectors are
 variables called by name, at the top or in a struct `log`; their units are the fields
 of a struct `units`, or variables `<name>_unit`. The rig file's [channels] may rename a
 column, give its unit (which then wins over the file's) and invert its sign. In an
-MCAP file or a ROS 2 bag it says which topic and field a signal is; see `bags`.
+MCAP file or a ROS 2 bag it says which topic and field a signal is; see `rosbag`.
 """
 
 from __future__ import annotations

@@ -5,11 +5,16 @@ from __future__ import annotations
 import gzip
 import shlex
 import shutil
+import socket
+import subprocess
+import sys
+import tomllib
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from tests.pages import ROOT, commands
+from tests.pages import ROOT, blocks, commands
 
 DEMO = ROOT / "hydrojax/demo"
 LOGS = {
@@ -22,9 +27,10 @@ LOGS = {
 SIZES = ("--bore", "40 mm", "--rod", "0 mm", "--stroke", "200 mm", "--radius", "85 mm")
 """What `init` asks at a terminal."""
 
-PAGES = ("closed_loop", "figures", "interchange")
+PAGES = ("closed_loop", "figures", "interchange", "your_own_effect")
 """Those whose commands differ from the README's in more than a file or an option; the
-tutorial and first_report have tests of their own.
+tutorial and first_report have tests of their own, logs and scale ask for more than a
+desk.
 """
 
 
@@ -46,6 +52,12 @@ def desk(tmp_path, monkeypatch) -> Path:
     shutil.copy(DEMO / "rig.toml", tmp_path)
     jobs = "job,rig,fit,validate\nA,rig.toml,fit_1.csv;fit_2.csv,other.csv\n"
     (tmp_path / "jobs.csv").write_text(jobs)
+    own = next(blocks(ROOT / "docs/your_own_effect.md", "python"))
+    (tmp_path / "my_effects.py").write_text(own)
+    job = tmp_path / "measured/A"
+    job.mkdir(parents=True)
+    for file in ("rig.toml", "fit_1.csv", "validate.csv"):
+        shutil.copy(tmp_path / file, job)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -84,10 +96,76 @@ def test_a_command_of_the_readme_does_its_work(line, call, desk):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
-def test_the_commands_of_a_page_do_their_work(page, call, desk):
+def test_the_commands_of_a_page_do_their_work(page, call, desk, vocabulary):
     """In their order."""
+    for line in new_lines(page):
+        does_its_work(line, call, desk)
+
+
+def new_lines(page: str) -> list[str]:
+    """Commands of a page that the README does not show."""
     shown = map(plain, commands(ROOT / f"docs/{page}.md"))
     lines = [line for line in shown if line not in README]
     assert lines
-    for line in lines:
+    return lines
+
+
+@pytest.mark.slow
+def test_the_bags_of_the_page_on_logs_are_traced(call, desk):
+    """Its command, on bags of the demo's log, with its `[channels]`."""
+    pytest.importorskip("mcap")
+    pytest.importorskip("rosbags")
+    from tests.logs.test_bags import demo_topics, write
+
+    topics = demo_topics()
+    for run, kind in (
+        ("run_1", "sqlite3"),
+        ("run_2", "mcap"),
+        ("run_3", "mcap folder"),
+    ):
+        bag = write(desk / f"as_{run}", kind, topics)
+        (desk / "runs").mkdir(exist_ok=True)
+        bag.rename(desk / "runs" / (run + bag.suffix))
+    tables = blocks(ROOT / "docs/logs.md", "toml")
+    shown = next(
+        t for t in tables if "/pressures" in t and "channels" in tomllib.loads(t)
+    )
+    with (desk / "rig.toml").open("a") as rig:
+        rig.write("\n" + shown)
+    for line in new_lines("logs"):
         does_its_work(line, call, desk)
+
+
+@contextmanager
+def scheduler():
+    """The address of a dask scheduler with one worker, both as the page starts them."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    dask = [sys.executable, "-m", "distributed.cli."]
+    parts = (
+        ("dask_scheduler", "--host", "127.0.0.1", "--port", address.partition(":")[2],
+         "--no-dashboard"),
+        ("dask_worker", address, "--nworkers", "1", "--nthreads", "1",
+         "--no-dashboard"),
+    )  # fmt: skip
+    started = [
+        subprocess.Popen([*dask[:2], dask[2] + name, *words], stderr=subprocess.DEVNULL)
+        for name, *words in parts
+    ]
+    try:
+        yield address
+    finally:
+        for process in reversed(started):
+            process.terminate()
+            process.wait(30)
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_page_on_scale_do_their_work(call, desk):
+    """On a cluster of one worker, with fewer gains."""
+    pytest.importorskip("distributed")
+    with scheduler() as address:
+        for line in new_lines("scale"):
+            line = line.replace("HOST:8786", address).replace("/shared/", "shared/")
+            does_its_work(line.replace(":512", ":8"), call, desk)
