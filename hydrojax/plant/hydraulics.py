@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -53,8 +55,7 @@ def pressure_step(
     def substep(begun, along):
         (P, line), (part, x_0, x_1, x_2) = begun, along
         v = (x_2 - x_0) / h
-        start = at(P, part, x_0, v, line)
-        slope, settling = _settling_rates(rig, start)
+        slope, settling, edges = _settling_rates(rig, at(P, part, x_0, v, line))
         moved = tuple(
             h / 2 * _relax(b * h / 2) * r for r, b in zip(slope, settling, strict=True)
         )
@@ -64,11 +65,12 @@ def pressure_step(
             h * _relax(b * h) * (r + b * m)
             for r, b, m in zip(slope, settling, moved, strict=True)
         )
-        P = (P[0] + moved[0], P[1] + moved[1])
         if line is not None:
+            start = at(P, part, x_0, v, line)
             line = rig.line_step(line, refilled(middle[0]), refilled(middle[1]), h)
-            more, line = _drops(rig, start, line, h, moved)
-            P = (P[0] + more[0], P[1] + more[1])
+            more, line = _drops(rig, start, line, h, moved, edges)
+            moved = (moved[0] + more[0], moved[1] + more[1])
+        P = (P[0] + moved[0], P[1] + moved[1])
         return (P, line), None
 
     if n == 1:
@@ -79,15 +81,20 @@ def pressure_step(
 
 
 def _drops(
-    rig: Rig, at: Point, line: Lines, h: Float[Array, "*batch"], moved: tuple
+    rig: Rig,
+    at: Point,
+    line: Lines,
+    h: Float[Array, "*batch"],
+    moved: tuple,
+    edges: tuple,
 ) -> tuple[tuple, Lines]:
     """By how much both chambers' pressures move on as oil passes between them and their
     lines in a substep, Pa, and the lines after it.
 
-    `moved` is by how much the mean pressure of chamber and line has moved. Implicit:
-    either may settle within a fraction of the substep.
+    `moved` is by how much the mean pressure of chamber and line has moved, `edges` as
+    `_edges` has them. Implicit: either may settle within a fraction of the substep.
     """
-    (q, beside), slopes = _edges(rig, at)
+    (q, beside), slopes = edges
     loss = rig.line_losses(line)
     swept = (rig.chambers.area_1 * at.v, -rig.chambers.area_2 * at.v)
     more, drops = [], []
@@ -145,32 +152,39 @@ def _edges(rig: Rig, at: Point) -> tuple[tuple, tuple]:
     def flows(P_1, P_2):
         return rig.flows(at._replace(P_a1=P_1, P_a2=P_2))
 
-    own = (at.P_a1, at.P_a2)
-    found, slopes = jax.jvp(flows, own, tuple(jnp.ones_like(p) for p in own))
-    return found, slopes[0]
+    found, (up, _) = _apart(flows, at)
+    return found, (up[0], -up[1])
 
 
 def _capacities(rig: Rig, at: Point) -> tuple:
     return rig.chambers.capacities(at, rig.compliance, rig.volume, rig.line)
 
 
-def _settling_rates(rig: Rig, at: Point) -> tuple[tuple, tuple]:
-    """Rates of both pressures, Pa/s, and rates at which each would settle, 1/s.
+def _settling_rates(rig: Rig, at: Point) -> tuple[tuple, tuple, tuple]:
+    """Rates of both pressures, Pa/s, those at which each would settle, 1/s; `_edges`.
 
     Twice the slope, since a turbulent flow's falls off as a root does: on a line of
     the slope itself a pressure would go as far beyond its rest as it was before it.
     """
 
-    def one(i):
-        def rate(p):
-            here = at._replace(P_a1=p) if i == 0 else at._replace(P_a2=p)
-            return rig.pressure_rates(here)[i]
+    def rates(P_1, P_2):
+        here = at._replace(P_a1=P_1, P_a2=P_2)
+        flows = rig.flows(here)
+        return rig.rates_of(here, flows), flows
 
-        p = (at.P_a1, at.P_a2)[i]
-        return jax.jvp(rate, (p,), (jnp.ones_like(p),))
+    (found, flows), (up, (edges, _)) = _apart(rates, at)
+    settling = (jnp.maximum(-2 * up[0], 0.0), jnp.maximum(2 * up[1], 0.0))
+    return found, settling, (flows, (edges[0], -edges[1]))
 
-    (r_1, s_1), (r_2, s_2) = one(0), one(1)
-    return (r_1, r_2), (jnp.maximum(-2 * s_1, 0.0), jnp.maximum(-2 * s_2, 0.0))
+
+def _apart(f: Callable, at: Point) -> tuple:
+    """A function of both pressures, and how it moves as they move apart.
+
+    What belongs to chamber 2 falls with its pressure then. What passes between the
+    chambers counts twice.
+    """
+    own = (at.P_a1, at.P_a2)
+    return jax.jvp(f, own, (jnp.ones_like(own[0]), -jnp.ones_like(own[1])))
 
 
 @jax.custom_jvp

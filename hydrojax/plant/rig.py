@@ -170,7 +170,13 @@ class Rig(eqx.Module):
 
         Below `P_VAPOUR` they are those of the volume that a chamber lacks.
         """
-        (q_1, q_2), (more_1, more_2) = self.flows(at)
+        return self.rates_of(at, self.flows(at))
+
+    def rates_of(
+        self, at: Point, flows: tuple
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """The same under flows as `flows` has them."""
+        (q_1, q_2), (more_1, more_2) = flows
         return self.chambers.rates(
             at, q_1 + more_1, q_2 + more_2, self.compliance, self.volume, self.line
         )

@@ -134,16 +134,17 @@ def descend(
 
 def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
     """The balances at some values, along those of `free` that act on the pressures."""
-    model, free = problem.model, problem.side(free, True)
-    slots = (problem.slots(free)[0], 0)
+    free = problem.side(free, True)
+    slots = (problem.most_slots[0], 0)
+    model, at = problem.model.acting(values, free)
     gram = _run(
         model,
-        jnp.asarray(values),
+        at,
         basis(model, free, slots).hydraulic,
         filled(problem.batch),
         jnp.asarray(_weight(problem.batch)),
     )
-    columns = slot_names(model, free, slots)
+    columns = slot_names(problem.model, free, slots)
     return Linear.of(problem, values, columns, np.array(gram))
 
 

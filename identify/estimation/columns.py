@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +13,7 @@ from jaxtyping import Array, Float
 
 from hydrojax.identify.preparation.data import Data
 from hydrojax.jax_setup import bucket
-from hydrojax.parameters import get, parameter_specs, scales
+from hydrojax.parameters import get, parameter_specs, scales, specs
 from hydrojax.plant.places import hydraulic_names
 from hydrojax.plant.replay import Motion, Windows
 from hydrojax.plant.rig import Rig
@@ -50,6 +52,35 @@ class ParametricRig(NamedTuple):
     def values(self) -> Float[Array, "n"]:
         """The rig's own values, SI."""
         return get(self.rig, self.names)
+
+    def acting(
+        self, values: Float[np.ndarray, "n"], moved: Collection[str] = ()
+    ) -> tuple[ParametricRig, Float[Array, "m"]]:
+        """The model and its values without lines in which nothing stands: their effect
+        is absent at `values`, and none of the parameters `moved` is its own.
+
+        Following what stands in lines doubles the cost of a replay.
+        """
+        at, idle, line = dict(zip(self.names, values, strict=True)), set(), []
+        for effect in self.rig.line:
+            own = {f"{effect.name}.{n}": s for n, s in specs(effect).items()}
+            present = any(s.strength and at[n] for n, s in own.items())
+            if present or not own.keys().isdisjoint(moved):
+                line.append(effect)
+            else:
+                idle.update(own)
+        keep = np.array([n not in idle for n in self.names])
+        model = ParametricRig(
+            eqx.tree_at(lambda r: r.line, self.rig, tuple(line), is_leaf=_is_tuple),
+            tuple(n for n in self.names if n not in idle),
+            self.hydraulic - len(idle),
+            self.scale[keep],
+        )
+        return model, jnp.asarray(values[keep])
+
+
+def _is_tuple(x: object) -> bool:
+    return isinstance(x, tuple)
 
 
 class Batch(NamedTuple):

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from hydrojax.identify.estimation.columns import (
-    Basis,
     Batch,
     ParametricRig,
     Room,
@@ -97,11 +96,18 @@ class Problem:
     def slots(self, free: Sequence[str]) -> tuple[int, int]:
         """Columns, hydraulic and other, of the program that fits these parameters."""
         need = (len(self.side(free, True)), len(self.side(free, False)))
-        sizes = [
-            (self.declared[0] + a, self.declared[1] + b)
-            for a, b in SPARE[len(self.free) > sum(self.declared) :]
-        ]
+        sizes = self._sizes()
         return next(s for s in sizes if need[0] <= s[0] and need[1] <= s[1])
+
+    @property
+    def most_slots(self) -> tuple[int, int]:
+        """Those of the one program that fits whatever may be free together."""
+        return self._sizes()[-1]
+
+    def _sizes(self) -> list[tuple[int, int]]:
+        tracing = len(self.free) > sum(self.declared)
+        spare = SPARE[1:] if tracing else SPARE[:1]
+        return [(self.declared[0] + a, self.declared[1] + b) for a, b in spare]
 
     def solve(
         self,
@@ -134,10 +140,11 @@ class Problem:
             batch = batch._replace(noise=noise)
         tied = self.criteria.tied if self.symmetric else None
         slope, away = prior_rows(self.free, self.known, tied, columns, at, scale)
+        model, all_values = self.model.acting(values, free)
         out = run_fit(
-            self.model,
-            jnp.asarray(values),
-            basis(self.model, free, slots),
+            model,
+            all_values,
+            basis(model, free, slots),
             (jnp.asarray(slope), jnp.asarray(away)),
             boxed(lower),
             boxed(upper),
@@ -162,9 +169,8 @@ class Problem:
         batch = self.batch
         if noise is not None:
             batch = batch._replace(noise=noise)
-        n = self.model.hydraulic
-        every = basis(self.model, self.model.names, (n, len(self.model.names) - n))
-        return self.evaluate(values, every, batch)
+        n, names = self.model.hydraulic, self.model.names
+        return self.evaluate(values, names, (n, len(names) - n), batch)
 
     def residuals_at(
         self, values: Float[np.ndarray, "n"]
@@ -189,10 +195,8 @@ class Problem:
 
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
-        at = jnp.asarray(values)
-        return self._real(
-            run_leftover(self.model, at, filled(batch, self.least), self.simulate)
-        )
+        at = self.model.acting(values)
+        return self._real(run_leftover(*at, filled(batch, self.least), self.simulate))
 
     def _begin(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
         """The batch with its windows' initial pressures found, and the residuals.
@@ -242,19 +246,24 @@ class Problem:
         return np.sum(self.residuals_at(values) ** 2, axis=1)
 
     def evaluate(
-        self, values: Float[np.ndarray, "n"], directions: Basis, batch: Batch
+        self,
+        values: Float[np.ndarray, "n"],
+        free: tuple[str, ...],
+        slots: tuple[int, int],
+        batch: Batch,
     ) -> Sums:
-        """The windows' sums of a batch at `values`, along `directions`."""
-        at = jnp.asarray(values)
-        out = run_sums(self.model, at, directions, filled(batch), self.simulate)
+        """The windows' sums of a batch at `values`, along the columns of `free`."""
+        model, at = self.model.acting(values, free)
+        directions = basis(model, free, slots)
+        out = run_sums(model, at, directions, filled(batch), self.simulate)
         return jax.tree.map(lambda a: np.asarray(a)[: len(batch.P_0)], out)
 
     def behind(self, values: Float[np.ndarray, "n"]) -> Problem:
         """The problem at the pressures that are replayed at `values`: what acts behind
         them, friction and sensors, is fitted at a small part of the cost.
         """
-        batch, at = self.batch, jnp.asarray(values)
-        P = self._real(run_pressures(self.model, at, filled(batch)))
+        batch = self.batch
+        P = self._real(run_pressures(*self.model.acting(values), filled(batch)))
         windows = batch.windows._replace(P_a1=P[0], P_a2=P[1])
         return replace(self, batch=batch._replace(windows=windows), simulate=False)
 

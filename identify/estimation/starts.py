@@ -44,11 +44,12 @@ def best_start(
     def coordinates(x):
         return jnp.asarray(((x - at) / scale)[..., order])
 
+    model, all_values = problem.model.acting(values, free)
     out = run_starts(
-        problem.model,
-        jnp.asarray(values),
+        model,
+        all_values,
         coordinates(starts),
-        basis(problem.model, free, slots),
+        basis(model, free, slots),
         coordinates(lower),
         coordinates(upper),
         filled(thinned(problem.batch, problem.criteria.start_windows)),

@@ -106,7 +106,8 @@ def _runs(
     fresh = np.ones((len(starts), len(batch.P_0)), bool)
     for row, (begins, _) in zip(fresh, starts.values(), strict=True):
         row[: begins.size] = begins == np.arange(begins.size)
-    out = _run_on(problem.model, jnp.asarray(values), batch, jnp.asarray(fresh[1:]))
+    at = problem.model.acting(values)
+    out = _run_on(*at, batch, jnp.asarray(fresh[1:]))
     out = np.asarray(out)[:, : len(own)]
     return np.concatenate([own[None], problem.batch.windows.measured - out])
 

@@ -21,7 +21,7 @@ from hydrojax.identify.estimation.balance import (
     descend,
     in_brief,
 )
-from hydrojax.identify.estimation.columns import basis, slot_names
+from hydrojax.identify.estimation.columns import slot_names
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.estimation.starts import placed, thinned
 from hydrojax.identify.tracing.score import Score
@@ -126,7 +126,7 @@ def _replays(
         if not few.simulate:
             slots, free = (0, slots[1]), few.side(free, False)
         columns = slot_names(few.model, tuple(free), slots)
-        gram = few.evaluate(values, basis(few.model, tuple(free), slots), batch).gram
+        gram = few.evaluate(values, tuple(free), slots, batch).gram
         return Linear.of(few, values, columns, np.sum(gram, axis=0))
 
     here = evaluate(state.point.values, state.free).predicted(few)

@@ -14,9 +14,12 @@ import pytest
 from hydrojax.identify.api import applicable
 from hydrojax.identify.case import Case, Preparation
 from hydrojax.identify.estimation.balance import balance_at, balanced, descend
+from hydrojax.identify.estimation.columns import basis, filled
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.known import free_effect, free_parameters
+from hydrojax.identify.estimation.misfit import run_sums
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.estimation.starts import thinned
 from hydrojax.identify.preparation import data as preparation
 from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs
@@ -149,3 +152,27 @@ def test_halved_substeps_change_little(machine, monkeypatch):
     assert fine.batch.windows.x_fine.shape[-1] == 17  # 8 substeps, from 4
     coarse, fine = (p.residuals_at(values)[..., :2] for p in (state.problem, fine))
     assert 0 < np.sqrt(np.mean((coarse - fine) ** 2)) < 9e3 / 4
+
+
+def test_lines_in_which_nothing_stands_are_left_out(machine):
+    """The sums do not change by it; whatever stands in a line, or may, keeps it."""
+    problem, free = machine[1].problem, machine[1].free
+    model, values = problem.model, machine[1].point.values
+    batch = filled(thinned(problem.batch, 4))
+    lean, at = model.acting(values, free)
+    assert model.rig.line and not lean.rig.line
+    assert not [n for n in lean.names if n.startswith("counterbalance.")]
+    assert lean.values.shape == at.shape == lean.scale.shape
+    slots = problem.slots(free)
+    ours, whole = (
+        run_sums(m, np.asarray(v), basis(m, free, slots), batch, True)
+        for m, v in ((lean, at), (model, values))
+    )
+    for a, b in zip(ours, whole, strict=True):
+        a, b = np.asarray(a), np.asarray(b)
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(b).max())
+
+    assert model.acting(values, ["counterbalance.P_set"])[0].rig.line
+    held = np.array(values)
+    held[model.names.index("counterbalance.k_2")] = 1e11
+    assert model.acting(held)[0].names == model.names
