@@ -96,8 +96,11 @@ _CLICK_ERROR: Any = typer.BadParameter.__mro__[2]
 Click itself, by its version."""
 
 
-GRACE = 3.0
+GRACE = 1.5
 """Seconds in which a command that is interrupted may end by itself."""
+
+STOPPED = "hydrojax: stopped by {}; nothing half-written is left\n"
+"""What a command says last that a signal ends."""
 
 
 @contextmanager
@@ -129,7 +132,7 @@ def _interruptible(came: list[int]) -> Iterator[None]:
         until = time.monotonic() + GRACE
         while not ended.wait(0.1):
             if time.monotonic() > until:
-                os._exit(128 + number[0])
+                _stop(number[0])
             if swallowed.is_set():
                 swallowed.clear()
                 signal.pthread_kill(threading.main_thread().ident or 0, number[0])
@@ -173,18 +176,20 @@ def main() -> None:
         if not came:  # else it is what became of the interruption on its way
             raise
     if came:
-        _leave(128 + came[0])
+        with suppress(OSError, ValueError):
+            sys.stdout.flush()
+        _stop(came[0])
     sys.exit(code)
 
 
-def _leave(code: int) -> NoReturn:
-    """End the process as it is: Python's own end waits for compiled code, and is SIGINT
-    where an interruption has passed through a text that was executed.
+def _stop(number: int) -> NoReturn:
+    """Say that a signal ends the process, and end it as it is: Python's own end waits
+    for compiled code, and is SIGINT where an interruption has passed through a text
+    that was executed.
     """
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError):
-            stream.flush()
-    os._exit(code)
+    with suppress(OSError):
+        os.write(2, STOPPED.format(signal.Signals(number).name).encode())
+    os._exit(128 + number)
 
 
 def _run() -> int:
