@@ -63,6 +63,8 @@ class Browser:
 
     def close(self) -> None:
         """End Chromium and all that it started."""
+        if hasattr(self, "socket"):
+            self.socket.close()
         if self.process.poll() is None:
             os.killpg(self.process.pid, 9)
         self.process.wait(PATIENCE)
@@ -114,7 +116,7 @@ class Page:
         given = browser.call(
             "Target.attachToTarget", targetId=tab["targetId"], flatten=True
         )
-        self.session = given["sessionId"]
+        self.session, self.target = given["sessionId"], tab["targetId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
         if not scripts:
@@ -126,6 +128,10 @@ class Page:
 
     def call(self, method: str, **params: Any) -> Any:
         return self.browser.call(method, self.session, **params)
+
+    def close(self) -> None:
+        """Close the tab."""
+        self.browser.call("Target.closeTarget", targetId=self.target)
 
     def widen(self, width: int) -> None:
         """Make the screen `width` pixels wide: a phone's, if that is narrow."""

@@ -96,7 +96,7 @@ def batch(
             ran = run_fleet(
                 jobs, out, options, workers, cluster, progress,
                 limits=JobLimits(job_seconds, int(job_memory * 2**30)),
-                command_line=command_line(),
+                command_line=command_line(context),
             )  # fmt: skip
     except Stopped as stop:
         errors.print(

@@ -32,7 +32,7 @@ def compare(
 
     found: Comparison = compared(a, b)
     if out is not None:
-        write_all(out, {"compare.html": found.html(command_line()).encode()})
+        write_all(out, {"compare.html": found.html(command_line(context)).encode()})
     if json:
         print_json(found.to_dict())
         return
@@ -48,7 +48,7 @@ def compare(
         where = [n for n, yes in zip(found.names, there, strict=True) if yes]
         console.print(f"{name}: found in {' and '.join(where)}")
     named = Column("parameter", overflow="fold")
-    table = Table(named, *found.names, "change", "std")
+    table = Table(named, *found.names, "change", "change / std")
     for pair in found.parameters:
         apart = "–" if pair.apart is None else f"{pair.apart:.1f}"
         table.add_row(pair.name, pair.text("a"), pair.text("b"), pair.change, apart)

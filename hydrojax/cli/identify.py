@@ -83,7 +83,7 @@ def check(
     with show_progress(quiet):
         found = api.check(rig, logs)
     if out is not None:
-        found.save(out, command_line())
+        found.save(out, command_line(context))
     if json:
         print_json(found.to_dict())
     if json or quiet:
@@ -123,7 +123,7 @@ def identify(
             rig, logs, validate or (), test or (), horizon=horizon, starts=starts,
             profile=profile, progress=progress,
         )  # fmt: skip
-    _finish(result, out, json, quiet, failing)
+    _finish(context, result, out, json, quiet, failing)
 
 
 @app.command()
@@ -162,8 +162,8 @@ def trace(
             progress=progress,
         )  # fmt: skip
         if discover and result.verdict == "unknown":
-            result = _discovered(result, out, starts, profile, progress)
-    _finish(result, out, json, quiet, failing)
+            result = _discovered(context, result, out, starts, profile, progress)
+    _finish(context, result, out, json, quiet, failing)
 
 
 @app.command()
@@ -177,7 +177,12 @@ def demo(context: typer.Context, out: Out = Path("hydrojax-demo")) -> None:
 
 
 def _discovered(
-    result: Result, out: Path, starts: int, profile: bool, progress: Progress
+    context: typer.Context,
+    result: Result,
+    out: Path,
+    starts: int,
+    profile: bool,
+    progress: Progress,
 ) -> Result:
     """The trace with curves for what it left, traced again with them as effects."""
     from hydrojax import api
@@ -185,16 +190,21 @@ def _discovered(
     result = api.discover(result, progress=progress)
     if not result.curves:
         return result
-    result.save(out, command_line())
+    result.save(out, command_line(context))
     load_effects([out / "my_effects.py"])
     return api.retraced(result, starts, profile, progress)
 
 
 def _finish(
-    result: Result, out: Path, json: bool, quiet: bool, failing: Collection[str]
+    context: typer.Context,
+    result: Result,
+    out: Path,
+    json: bool,
+    quiet: bool,
+    failing: Collection[str],
 ) -> None:
     """Write the report and print its summary; leave with 1 on a failing verdict."""
-    result.save(out, command_line())
+    result.save(out, command_line(context))
     outcome = result.outcome
     if json:
         from hydrojax.identify.results.report_json import report_json

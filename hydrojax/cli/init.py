@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +18,26 @@ QUESTIONS = {
     "rod": "Rod diameter, such as 25 mm; 0 mm if both areas are equal",
     "stroke": "Stroke between the stops, such as 300 mm",
     "radius": "Radius at which the cylinder acts on the joint, such as 85 mm",
+    "rated_flow": "Rated flow at 35 bar over each edge, such as 40 L/min; empty if you "
+    "do not know it",
 }
+
+
+def _asked(size: str, said: Mapping[str, str]) -> str:
+    """A size as it is answered at the terminal; asked again until it is one."""
+    from hydrojax.rigfile.draft.sizes import read_sizes
+
+    def read(answer: str) -> str:
+        try:
+            read_sizes(**said, **({size: answer} if answer else {}))
+        except InputError as error:
+            raise typer.BadParameter(str(error)) from None
+        return answer
+
+    default = "" if size == "rated_flow" else None
+    return typer.prompt(
+        QUESTIONS[size], default, value_proc=read, show_default=False, err=True
+    )
 
 
 def _schema(wanted: bool) -> None:
@@ -112,7 +132,9 @@ def init(
         if not sys.stdin.isatty():
             option = f"--{size.replace('_', '-')}"
             raise InputError(f"init: {option} is missing: {QUESTIONS[size]}")
-        said[size] = typer.prompt(QUESTIONS[size], err=True)
+        said[size] = _asked(size, said)
+    if known.rates_valve(log) and not rated_flow and sys.stdin.isatty():
+        said |= {"rated_flow": flow} if (flow := _asked("rated_flow", said)) else {}
     log = read_log(logs, read_columns(column or []), layout, known.read_sizes(**said))
     own, text = drafted(log, name)
     print(RigFile.from_text(text, own).text, end="")

@@ -125,9 +125,19 @@ def counted(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
     return show_count(errors, what)
 
 
-def command_line() -> str:
-    """What was given, as one line for a report."""
-    return one_line(shlex.join(["hydrojax", *sys.argv[1:]]), TEXT)
+def command_line(context: typer.Context) -> str:
+    """What was given, as one line for a report; as a comment behind it, the numbers and
+    words that were left as they are.
+    """
+    line = shlex.join(["hydrojax", *sys.argv[1:]])
+    left = []
+    for option in context.command.params:
+        value = context.params.get(option.name or "")
+        source = context.get_parameter_source(option.name or "")
+        known = isinstance(value, int | float | str) and not isinstance(value, bool)
+        if known and value != "" and source is not None and source.name == "DEFAULT":
+            left += [max(option.opts, key=len), str(value)]
+    return one_line(f"{line}  # {shlex.join(left)}" if left else line, TEXT)
 
 
 def check_out(context: typer.Context, out: Path) -> None:

@@ -163,7 +163,7 @@ def sweep(
 
             share_sweep(file, arguments, effects or (), out, cluster, progress)
         data = api.sweep(file, **arguments, out=out, progress=progress)
-    write_sweep(data, out, command_line())
+    write_sweep(data, out, command_line(context))
     for line in sentences(data):
         console.print(line)
     console.print(f"report in {out / 'report.html'}, numbers in {out / 'sweep.nc'}")
@@ -226,7 +226,7 @@ def tune(
                 progress=lambda line, kind=kind: progress(f"{kind} {line}".strip()),
             )
             progress("draw")
-            found[kind].save(folders[kind], command_line())
+            found[kind].save(folders[kind], command_line(context))
     if len(kinds) > 1:
         _print_all(found, out)
     else:

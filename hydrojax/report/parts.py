@@ -251,7 +251,9 @@ class MadeRecord(Part):
 
     version: str = Field(default="", description="of hydrojax")
     date: str = Field(default="", description="ISO 8601, with the offset from UTC")
-    command_line: str = Field(default="", description="as given")
+    command_line: str = Field(
+        default="", description="as given; after #, the defaults left in force"
+    )
 
 
 class CovarianceRecord(Part):

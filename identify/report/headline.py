@@ -51,9 +51,10 @@ def headline(outcome: Outcome) -> str:
         before = quantity_text(c.before, c.unit, figures=3)
         was, it = ("was", "it") if len(outcome.effects) == 1 else ("were", "them")
         now = after.removesuffix(" RMS")
+        noise = quantity_text(c.noise, c.unit, figures=3)
         return (
             f"{lead}{effects.capitalize()} {was} missing: with {it}, the error of "
-            f"{name} falls from {before} to {now}, its noise."
+            f"{name} falls from {before} to {now}, at a noise of {noise}."
         )
     if c.window is not None and c.window.skill is not None and c.window.skill <= 0:
         return f"{lead}The model predicts {name} no better than a held value: {after}."

@@ -227,9 +227,9 @@ def _loop_said(outcome: Outcome) -> tuple[str, str]:
     return (
         f"Output force over time in {loop.log}: desired, measured, and simulated; "
         f"measured and simulated differ by {quantity_text(loop.rms, 'N')} RMS.",
-        "The log's desired force in the simulated loop: the identified rig, the "
-        "paper's law with the rig file's [controller]; motion and supply are the "
-        "log's. The "
+        "The log's desired force in the simulated loop: the identified rig under the "
+        "controller of the rig file's [controller] (the paper's law by default); "
+        "motion and supply are the log's. The "
         f"{residuals.LOOP_SECONDS:g} s of the largest variation.",
     )
 

@@ -107,15 +107,14 @@ def test_pages_fit_the_screen(site, tmp_path):
     phone, code and the widest tables do inside their frames.
     """
     browser = Browser(tmp_path)
-    names = ("index", "first_report", "closed_loop", "reference/effects",
-             "reference/report", "reference/api")  # fmt: skip
     try:
-        for name in names:
+        for name in sorted(site.rglob("*.html")):
             for width in (400, 1600):
-                seen = Page(browser, site / f"{name}.html", width)
+                seen = Page(browser, name, width)
                 assert seen.overflow() <= 0, (name, width)
                 assert width == 400 or seen.ask(SIDEWAYS) == [], name
             assert all(alt and wide for alt, wide in seen.pictures()), name
+            seen.close()
         seen = Page(browser, site / "index.html", 1600)
         for wanted, scheme in (("dark", "slate"), ("light", "default")):
             media = [{"name": "prefers-color-scheme", "value": wanted}]
@@ -175,10 +174,22 @@ def test_a_broken_link_and_a_broken_anchor_fail_the_build(tmp_path):
 
 
 def dead_links(text: str, folder: Path) -> list[str]:
-    """Links of a page to files of the repository that are not there."""
+    """Links of a page to files of the repository, or headings in them, that are not
+    there.
+    """
     links = re.findall(r"\]\(([^)\s]+)\)", text)
-    inside = (link.partition("#")[0] for link in links if "://" not in link)
-    return [link for link in inside if link and not (folder / link).exists()]
+    slugify = pytest.importorskip("markdown.extensions.toc").slugify
+    inside = [link.partition("#")[::2] for link in links if "://" not in link]
+    gone = [file for file, _ in inside if file and not (folder / file).exists()]
+    for file, anchor in inside:
+        if anchor and file not in gone:
+            page = (folder / file).read_text(encoding="utf-8") if file else text
+            if anchor not in {slugify(h, "-") for h in HEADING.findall(page)}:
+                gone.append(f"{file}#{anchor}")
+    return gone
+
+
+HEADING = re.compile(r"^#+ (.+)$", re.M)
 
 
 def test_the_readme_is_short_and_its_links_lead_somewhere():
@@ -186,6 +197,8 @@ def test_the_readme_is_short_and_its_links_lead_somewhere():
     assert len(text.encode()) <= 8000
     assert dead_links(text, ROOT) == []
     assert dead_links("[a](docs/gone.md) [b](docs/index.md)", ROOT) == ["docs/gone.md"]
+    links = "[a](docs/limits.md#limits) [b](docs/limits.md#none) [c](#one)\n## One"
+    assert dead_links(links, ROOT) == ["docs/limits.md#none"]
 
 
 # -- the commands that the pages show --

@@ -12,6 +12,7 @@ import tomllib
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.pages import ROOT, blocks, commands
@@ -108,6 +109,37 @@ def new_lines(page: str) -> list[str]:
     lines = [line for line in shown if line not in README]
     assert lines
     return lines
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["README", "docs/first_report"])
+def test_the_python_of_a_page_does_its_work(page, desk, vocabulary):
+    """The last block, on the demo's logs."""
+    *_, code = blocks(ROOT / f"{page}.md", "python")
+    names: dict = {}
+    exec(code, names)
+    assert names["result"].verdict == "explained"
+    assert [e.name for e in names["result"].effects] == ["stribeck"]
+
+
+@pytest.mark.slow
+def test_the_python_of_the_page_on_other_tools_plays_the_fmu(call, desk):
+    pytest.importorskip("fmpy")
+    rig = (desk / "rig.toml").read_text()
+    name = tomllib.loads(rig)["name"]
+    (desk / "rig.toml").write_text(rig.replace(name, "Reference rig"))
+    assert call("export", "rig.toml", "--to", "fmu", "--out", ".").code == 0
+    table = np.array([(0.0, 0.0, 0.0), (0.5, 1.0, 0.0), (1.0, 1.0, 0.0)], INPUTS)
+    names = {"table": table}
+    (code,) = blocks(ROOT / "docs/interchange.md", "python")
+    exec(code, names)
+    out = names["out"]
+    assert out["time"][-1] == 1.0
+    signals = [out[name] for name in ("P_a1", "P_a2", "F")]
+    assert all(np.isfinite(y).all() and np.ptp(y) > 0 for y in signals)
+
+
+INPUTS = [("time", float), ("u", float), ("x", float)]
 
 
 @pytest.mark.slow

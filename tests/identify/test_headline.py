@@ -17,7 +17,7 @@ from tests.identify.test_report import OUTCOMES, explained
 def test_one_line_says_what_was_found():
     assert headline(explained()) == (
         "Internal leakage and position friction were missing: with them, the error of "
-        "F falls from 31 N to 2.6 N, its noise."
+        "F falls from 31 N to 2.6 N, at a noise of 2.5 N."
     )
     one = replace(explained(), effects=explained().effects[:1])
     assert headline(one).startswith("Internal leakage was missing: with it, the error")

@@ -18,10 +18,11 @@ from tests.identify.test_notebook_views import sweep
 from tests.identify.test_report import OUTCOMES, explained
 from tests.pages import ROOT
 from tests.tunings import tuned
+from tests.workflows.test_batch import fleet, good, pretended
 
 WIDTHS = (400, 1600)
 DEMO_LOG = ROOT / "hydrojax/demo/validate.csv.gz"
-PAGES = (*OUTCOMES, "tuned", "swept", "compared", "checked")
+PAGES = (*OUTCOMES, "tuned", "swept", "compared", "checked", "fleet", "job")
 RUNS = ("0.25", "1", "5", "free")
 LONG = Pair("c_p1", "m^3/(s*V*Pa^0.5)", 2.596336e-9, 2.596314e-9, 5.2e-14, 4.7e-14)
 """As wide as a parameter gets in print."""
@@ -56,6 +57,17 @@ def reports(tmp_path_factory):
     checked = check(ROOT / "hydrojax/demo/rig.toml", [DEMO_LOG])
     checked.save(top / "checked", "hydrojax check rig.toml log.csv")
     (top / "checked" / "check.html").rename(top / "checked" / "report.html")
+    (top / "logs").mkdir()
+    logs = good(9, effects=["stribeck"])
+    logs[4] = {"bad": "log_4.csv: column 'P_a1 [bar]': row 17: a reason that is long"}
+    table = fleet(top / "logs", logs, warm=[20.0 + i for i in range(9)])
+    line = "hydrojax batch jobs.csv --out fleet"
+    pretended(table, top / "fleet", report=True, command_line=line)
+    (top / "fleet" / "fleet.html").rename(top / "fleet" / "report.html")
+    (single,) = (top / "fleet" / "reports").glob("*.html")
+    single.rename((top / "job").with_suffix(".html"))
+    (top / "job").mkdir()
+    (top / "job.html").rename(top / "job" / "report.html")
     return top
 
 
@@ -102,9 +114,8 @@ def test_a_report_is_quiet_and_fits_the_screen(browser, reports, name):
         assert seen.overflow() <= 0, width
         assert seen.cut() == [], width
     shown = seen.pictures()
-    assert (shown or name == "compared") and all(
-        alt and wide > 0 for alt, wide in shown
-    )
+    assert shown or name in ("compared", "job")
+    assert all(alt and wide > 0 for alt, wide in shown)
     assert seen.requests() == [] and seen.errors() == []
 
 

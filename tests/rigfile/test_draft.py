@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import tomllib
@@ -165,6 +166,33 @@ def test_the_command_prints_what_can_be_read(call, log, tmp_path):
     assert rig.name == "press 3"
     said = call("init", log, "--bore", "40 mm", "--rod", "25 mm")
     assert said.code == 2 and "--stroke is missing" in said.err and said.out == ""
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_sizes_are_asked_for_until_they_are_sizes(call, log, monkeypatch):
+    answers = ["40", "40 mm", "0 mm", "300 mm", "80 mm", "25 mm", "40 L/min"]
+    monkeypatch.setattr("sys.stdin", Terminal("\n".join(answers) + "\n"))
+    said = call("init", log, "--layout", "differential")
+    assert said.code == 0, said.err
+    assert said.err.count("Error: ") == 3
+    assert "must be above 0" in said.err and "thinner than the bore" in said.err
+    rig = RigFile.from_text(said.out)
+    assert rig.geometry["area_2"] == pytest.approx(AREA_2, rel=1e-5)
+    assert rig.geometry["area_1"] == pytest.approx(AREA_1, rel=1e-5)
+    assert "speed and command" not in said.out
+    flow = 40e-3 / 60 / 10 / math.sqrt(35e5)  # 10 V open the valve
+    assert rig.parameters["c_p1"].start == pytest.approx(flow, rel=1e-2)
+
+
+def test_a_valve_that_is_not_rated_is_estimated_and_marked(call, log, monkeypatch):
+    monkeypatch.setattr("sys.stdin", Terminal("\n"))
+    said = call("init", log, *[w for k, v in SIZES.items() for w in (f"--{k}", v)])
+    assert said.code == 0, said.err
+    assert said.out.count("CHECK: estimated from speed and command") == 4
 
 
 SHIPPED = sorted(ROOT.glob("hydrojax/**/*.toml"))

@@ -11,6 +11,7 @@ import numpy as np
 from hydrojax import units
 from hydrojax.errors import InputError
 from hydrojax.logs.tables import File
+from hydrojax.plant.layout import LAYOUTS
 from hydrojax.rigfile.draft.columns import Guess
 from hydrojax.rigfile.sections import LANDS, SUPPLY
 from hydrojax.units import QuantityLike
@@ -90,6 +91,11 @@ def missing(log: Read) -> list[str]:
     needs += ["rod"] if log.layout == "differential" else []
     needs += ["radius"] if "psi" in log.signals else []
     return [name for name in needs if getattr(log.sizes, name) is None]
+
+
+def rates_valve(log: Read) -> bool:
+    """Whether the rated flow says what the log would otherwise be asked."""
+    return "u" in log.signals and LAYOUTS[log.layout].has_valve
 
 
 def areas(log: Read) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from hydrojax.rigfile.draft.sizes import (
     command_unit,
     missing,
     ranges,
+    rates_valve,
 )
 from hydrojax.rigfile.plain import text
 from hydrojax.rigfile.sections import LANDS, SUPPLY, base_specs
@@ -227,7 +228,7 @@ def _parameters(log: Read) -> Iterator[str]:
     yield '# NAME = "VALUE UNIT" holds a parameter instead.'
     yield "[parameters]"
     command, usual = command_unit(log), ranges(log)
-    drives = "u" in log.signals and LAYOUTS[log.layout].has_valve
+    drives = rates_valve(log)
     force = "F" in log.signals
     for name, spec in base_specs().items():
         oil = name in LANDS or name in ("beta", "delta_1", "delta_2")
@@ -240,6 +241,8 @@ def _parameters(log: Read) -> Iterator[str]:
             shown = text(spec.default, unit)
             yield from (f"{said}; rarely changed", f'# {name} = "{shown}"')
             continue
+        if name in LANDS and log.sizes.rated_flow is None:
+            said += "; CHECK: estimated from speed and command"
         start, low, high = (text(float(f"{v:.3g}"), unit) for v in usual[name])
         line = f'{name} = {{ start = "{start}", range = ["{low}", "{high}"] }}'
         if drives if oil else force:
