@@ -17,6 +17,7 @@ from hydrojax.identify.report.figures import (
     moved,
     reach,
 )
+from hydrojax.identify.report.traces import stretch, traced
 from hydrojax.identify.results.outcome import Outcome, Series
 from hydrojax.report.text import engineering
 
@@ -146,4 +147,16 @@ def explorer_data(outcome: Outcome) -> dict[str, Any] | None:
         "ways": ways,
         "colours": COLOURS,
         "logs": [_log(s, factors, ways, BYTES / len(series)) for s in series],
+        "worst": _worst(outcome, series),
     }
+
+
+def _worst(outcome: Outcome, series: list[Series]) -> dict[str, Any] | None:
+    """The stretch of the picture over time: which log, and from when to when, s."""
+    found = traced(outcome)
+    if found is None:
+        return None
+    name, s = found
+    t = s.t[stretch(s.t, s.before[name])]
+    log = next(i for i, one in enumerate(series) if one is s)
+    return {"log": log, "from": float(np.nanmin(t)), "to": float(np.nanmax(t))}

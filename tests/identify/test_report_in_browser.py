@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydrojax.api import check
-from hydrojax.identify.report import write
+from hydrojax.identify.report import traces, write
 from hydrojax.identify.results.outcome import Candidate, Horizon
 from hydrojax.report.compare import Pair, compare
 from hydrojax.tune.report import write_sweep
@@ -181,6 +181,21 @@ def test_the_view_holds_the_residual_itself(page):
     for way, y in (("before", s.before["F"]), ("after", s.after["F"])):
         wanted = [np.nanmin(y[inside]), np.nanmax(y[inside])]
         assert extremes(page, way) == pytest.approx(wanted, rel=0.01)
+
+
+def test_the_picture_over_time_leads_to_the_same_stretch_to_zoom_into(page):
+    outcome = explained()
+    name, s = traces.traced(outcome)
+    t = s.t[traces.stretch(s.t, s.before[name])]
+    page.click(".closer a")
+    assert view(page) == pytest.approx((t[0], t[-1]), abs=0.02)
+    assert t[-1] - t[0] == pytest.approx(traces.SECONDS, abs=0.02)
+    what = page.ask("document.querySelector('.panel .what').textContent")
+    assert what == "measured and model"
+    assert page.ask("location.hash") == "#explorer" and page.errors() == []
+    page.click(".explorer [name=in]")
+    first, last = view(page)
+    assert last - first == pytest.approx(traces.SECONDS / 2, abs=0.05)
 
 
 def test_the_drag_of_a_mouse_and_the_pinch_of_fingers(page):
