@@ -99,7 +99,7 @@ Click itself, by its version."""
 GRACE = 1.5
 """Seconds in which a command that is interrupted may end by itself."""
 
-STOPPED = "hydrojax: stopped by {}; nothing half-written is left\n"
+STOPPED = "hydrojax: stopped by {}\n"
 """What a command says last that a signal ends."""
 
 

@@ -128,12 +128,13 @@ def init(
     }  # fmt: skip
     said = {key: value for key, value in given.items() if value}
     log = read_log(logs, read_columns(column or []), layout, known.read_sizes(**said))
-    for size in known.missing(log):
+    missing = known.missing(log)
+    for size in missing:
         if not sys.stdin.isatty():
             option = f"--{size.replace('_', '-')}"
             raise InputError(f"init: {option} is missing: {QUESTIONS[size]}")
         said[size] = _asked(size, said)
-    if known.rates_valve(log) and not rated_flow and sys.stdin.isatty():
+    if missing and known.rates_valve(log) and not rated_flow:
         said |= {"rated_flow": flow} if (flow := _asked("rated_flow", said)) else {}
     log = read_log(logs, read_columns(column or []), layout, known.read_sizes(**said))
     own, text = drafted(log, name)

@@ -59,7 +59,7 @@ class ParametricRig(NamedTuple):
         """The model and its values without lines in which nothing stands: their effect
         is absent at `values`, and none of the parameters `moved` is its own.
 
-        Following what stands in lines doubles the cost of a replay.
+        Following what stands in lines is much of a replay's cost.
         """
         at, idle, line = dict(zip(self.names, values, strict=True)), set(), []
         for effect in self.rig.line:

@@ -183,16 +183,17 @@ def test_sizes_are_asked_for_until_they_are_sizes(call, log, monkeypatch):
     rig = RigFile.from_text(said.out)
     assert rig.geometry["area_2"] == pytest.approx(AREA_2, rel=1e-5)
     assert rig.geometry["area_1"] == pytest.approx(AREA_1, rel=1e-5)
-    assert "speed and command" not in said.out
+    assert "CHECK: a guess" not in said.out
     flow = 40e-3 / 60 / 10 / math.sqrt(35e5)  # 10 V open the valve
     assert rig.parameters["c_p1"].start == pytest.approx(flow, rel=1e-2)
 
 
-def test_a_valve_that_is_not_rated_is_estimated_and_marked(call, log, monkeypatch):
-    monkeypatch.setattr("sys.stdin", Terminal("\n"))
+def test_a_valve_that_is_not_rated_is_guessed_and_marked(call, log, monkeypatch):
+    """Without a question, since nothing that is needed is missing."""
+    monkeypatch.setattr("sys.stdin", Terminal(""))
     said = call("init", log, *[w for k, v in SIZES.items() for w in (f"--{k}", v)])
     assert said.code == 0, said.err
-    assert said.out.count("CHECK: estimated from speed and command") == 4
+    assert said.err == "" and said.out.count("CHECK: a guess; give --rated-flow") == 4
 
 
 SHIPPED = sorted(ROOT.glob("hydrojax/**/*.toml"))

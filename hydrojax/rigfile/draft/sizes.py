@@ -94,7 +94,7 @@ def missing(log: Read) -> list[str]:
 
 
 def rates_valve(log: Read) -> bool:
-    """Whether the rated flow says what the log would otherwise be asked."""
+    """Whether the valve's constants are drafted: the log has its command."""
     return "u" in log.signals and LAYOUTS[log.layout].has_valve
 
 

@@ -241,8 +241,8 @@ def _parameters(log: Read) -> Iterator[str]:
             shown = text(spec.default, unit)
             yield from (f"{said}; rarely changed", f'# {name} = "{shown}"')
             continue
-        if name in LANDS and log.sizes.rated_flow is None:
-            said += "; CHECK: estimated from speed and command"
+        if name in LANDS and drives and log.sizes.rated_flow is None:
+            said += "; CHECK: a guess; give --rated-flow if you know it"
         start, low, high = (text(float(f"{v:.3g}"), unit) for v in usual[name])
         line = f'{name} = {{ start = "{start}", range = ["{low}", "{high}"] }}'
         if drives if oil else force:
