@@ -121,14 +121,15 @@ def _label_axes(grid: list[Any], data: xr.Dataset, x: str, y: str) -> None:
 
 
 def colour_edges(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "k"]:
-    """Edges of the colours: even over nearly all values, wider and wider up to the top.
+    """Edges of the colours: even over nine cells of ten, wider and wider up to the top.
 
     A few cells may stand far above all others, which would then share one colour.
     """
     real = values[np.isfinite(values)]
     if not real.size:
         return np.array([0.0, 1.0])
-    low, high = min(0.0, float(real.min())), float(np.percentile(real, 97))
+    low = min(0.0, float(real.min()))
+    high = float(np.percentile(real, 90, method="lower"))
     rough = max(high - low, 1e-9) / 10
     power = 10.0 ** np.floor(np.log10(rough))
     step = next(s * power for s in (1, 2, 2.5, 5, 10) if s * power >= rough)

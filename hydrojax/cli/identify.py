@@ -207,9 +207,7 @@ def _finish(
     result.save(out, command_line(context))
     outcome = result.outcome
     if json:
-        from hydrojax.identify.results.report_json import report_json
-
-        print_json(report_json(outcome))
+        print((out / "report.json").read_text(encoding="utf-8"), end="")
     elif not quiet:
         print_outcome(outcome)
         spent = outcome.seconds

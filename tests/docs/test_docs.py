@@ -102,6 +102,7 @@ SIDEWAYS = (
 """What a page has to be scrolled sideways for, inside frames of its own."""
 
 
+@pytest.mark.slow
 def test_pages_fit_the_screen(site, tmp_path):
     """A phone's and a desk's: nothing goes sideways, and no picture is missing. On a
     phone, code and the widest tables do inside their frames.

@@ -21,6 +21,7 @@ def lab(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_page_s_commands_end_in_an_explained_report(call, lab, monkeypatch):
     monkeypatch.chdir(lab)
     exec(next(blocks(PAGE, "python")), {})

@@ -1,6 +1,5 @@
 """Every notebook runs from top to bottom, and keeps what is fit to be kept."""
 
-import ast
 import os
 import re
 from pathlib import Path
@@ -20,9 +19,6 @@ Notebook = Any
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 
-SMALL = {"03_the_paper": "seconds = 12.0", "04_your_own_effect": "seconds = 4.0"}
-"""What stands in the tests in place of the cell that is tagged `parameters`."""
-
 MEASURED = Path(os.environ.get("HYDROJAX_DATA", "") or "no-such-folder")
 """Logs that are not part of this repository, where a reader has them."""
 
@@ -33,22 +29,6 @@ def read(stem: str) -> Notebook:
     """A notebook by its name."""
     (path,) = (p for p in NOTEBOOKS if p.stem == stem)
     return nbformat.read(path, as_version=4)
-
-
-def assigned(code: str) -> set[str]:
-    """The names that a cell gives values."""
-    nodes = ast.walk(ast.parse(code))
-    return {
-        n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
-    }
-
-
-def made_small(notebook: Notebook, code: str) -> Notebook:
-    """The notebook with its parameters replaced by those of the tests."""
-    (cell,) = (c for c in notebook.cells if "parameters" in c.metadata.get("tags", ()))
-    assert assigned(cell.source) == assigned(code)
-    cell.source = code
-    return notebook
 
 
 def outputs(notebook: Notebook) -> list[Notebook]:
@@ -80,13 +60,8 @@ def written(notebook: Notebook) -> list[str]:
 
 
 def run(stem: str) -> Notebook:
-    """Run a notebook, at a small size where it has one."""
+    """Run a notebook from top to bottom."""
     notebook = read(stem)
-    return executed(made_small(notebook, SMALL[stem]) if stem in SMALL else notebook)
-
-
-def executed(notebook: Notebook) -> Notebook:
-    """Run a notebook as it stands."""
     for output in (c for c in notebook.cells if c.cell_type == "code"):
         output.outputs = []
     nbclient.NotebookClient(notebook, timeout=900).execute()
@@ -121,35 +96,23 @@ def test_what_went_stale_is_seen():
     assert stale(shown, shown.replace("P_a1", "P_a2")) != []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stem", [path.stem for path in NOTEBOOKS])
 def test_notebook_runs(stem, monkeypatch, cache_home):
     """It draws as many pictures as it keeps, and prints the figures that it keeps."""
     monkeypatch.delenv("HYDROJAX_DATA", raising=False)
     # What other tests have compiled is not compiled again.
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache_home))
-    kept = drawn(read(stem))
-    done = run(stem)
-    if stem not in SMALL:
-        before, after = (written(n) for n in (read(stem), done))
-        for shown, ran in zip(before, after, strict=True):
-            assert stale(shown, ran) == [], f"run python -m benchmarks.notebooks {stem}"
+    kept, done = read(stem), run(stem)
+    for shown, ran in zip(written(kept), written(done), strict=True):
+        assert stale(shown, ran) == [], f"run python -m benchmarks.notebooks {stem}"
     assert drawn(done), "no picture was drawn"
     if stem == "05_measured_data":
         assert "demo rig" in printed(done)
     else:
-        assert drawn(done) == kept
+        assert drawn(done) == drawn(kept)
     if stem == "04_your_own_effect":
         assert "quadratic_drag: added" in printed(done)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("stem", SMALL)
-def test_a_long_notebook_keeps_what_it_prints(stem, monkeypatch, cache_home):
-    """At full size: the suite has it small, and cannot compare its figures."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_home))
-    done = executed(read(stem))
-    for shown, ran in zip(written(read(stem)), written(done), strict=True):
-        assert stale(shown, ran) == [], f"run python -m benchmarks.notebooks {stem}"
 
 
 @pytest.mark.skipif(
@@ -177,14 +140,3 @@ def test_what_a_notebook_keeps(path):
     for root in ("/work", "/home", "/root", "/tmp", "/Users", "C:\\", str(Path.cwd())):
         assert root not in text
     assert notebook.metadata.kernelspec.name == "python3"
-
-
-def test_every_small_size_is_used():
-    assert set(SMALL) <= {path.stem for path in NOTEBOOKS}
-    for stem, code in SMALL.items():
-        made_small(read(stem), code)
-
-
-def test_parameters_by_other_names_are_refused():
-    with pytest.raises(AssertionError):
-        made_small(read("03_the_paper"), "minutes = 1")

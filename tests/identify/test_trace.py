@@ -48,6 +48,14 @@ WANTED = {
 """What there is to find where an effect is measured."""
 
 
+SLOW = [
+    pytest.param(name, marks=pytest.mark.slow)
+    for name in [*CASES, "stribeck"]
+    if name not in ("none", "internal_leakage")
+]
+"""Cases that the suite leaves to `pytest -m slow`."""
+
+
 @pytest.fixture(scope="module")
 def traced(recorded) -> Callable[[str], Outcome]:
     """The trace of a case, made once; of the demo by the name `stribeck`."""
@@ -92,7 +100,7 @@ def test_where_nothing_is_missing_nothing_is_named(traced):
     assert "Nothing is missing" in outcome.sentence
 
 
-@pytest.mark.parametrize("name", ["internal_leakage", "stribeck"])
+@pytest.mark.parametrize("name", ["internal_leakage", SLOW[-1]])
 def test_an_effect_is_named_and_measured(traced, name):
     outcome = traced(name)
     assert [e.name for e in outcome.effects] == [name]
@@ -133,6 +141,7 @@ def test_an_effect_is_named_that_lies_far_from_where_it_is_absent(traced, name):
         assert found.value == pytest.approx(value, rel=0.15), parameter
 
 
+@pytest.mark.slow
 def test_leakage_is_seen_in_the_pressures_and_friction_in_the_force(traced):
     for name, channels in (
         ("internal_leakage", ("P_a1", "P_a2")),
@@ -147,6 +156,7 @@ def test_leakage_is_seen_in_the_pressures_and_friction_in_the_force(traced):
     assert effect.before["P_a1"] < 1.1 * 9e3
 
 
+@pytest.mark.slow
 def test_the_rig_is_found_under_the_effect(traced, recorded):
     for name in ("internal_leakage", "wide_stribeck"):
         case = recorded(*CASES[name])
@@ -174,7 +184,7 @@ def test_what_no_catalogue_names_is_left_unknown_and_described(traced):
     assert left.description in outcome.sentence
 
 
-@pytest.mark.parametrize("name", [*CASES, "stribeck"])
+@pytest.mark.parametrize("name", ["none", "internal_leakage", *SLOW])
 def test_the_outcome_is_consistent_with_itself(traced, name):
     outcome = traced(name)
     catalogue = {c.name for c in outcome.candidates}
@@ -227,6 +237,7 @@ def test_the_report_says_the_same(traced, tmp_path):
     assert all(wanted <= set(c) for c in report["candidates"])
 
 
+@pytest.mark.slow
 def test_the_tutorial_shows_what_a_trace_prints(traced, capsys):
     (shown,) = (b for b in blocks(TUTORIAL, "text") if b.startswith("explained"))
     print_outcome(traced("stribeck"))
@@ -245,6 +256,7 @@ def found_there(traced, tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_tutorial_goes_on_with_what_was_found(found_there, call):
     """A run, and a map."""
     for words, begins in (
