@@ -51,10 +51,8 @@ def _trace(out: Path, seeds: list[int], console: Console) -> None:
         set_up_jax()
     rows = []
     for seed, folder in folders.items():
-        truth, result = (
-            files.read(folder, files.TRUTH),
-            files.read(folder, files.RESULT),
-        )
+        truth = files.read(folder, files.TRUTH)
+        result = files.read(folder, files.RESULT)
         if truth is None:
             raise RuntimeError(f"{folder} has no truth")
         if result is None:

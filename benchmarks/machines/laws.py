@@ -19,7 +19,7 @@ def choose(where, yes, no):
 
 
 try:
-    from numba.extending import overload, register_jitable
+    from numba.extending import overload, register_jitable  # pyright: ignore
 except ImportError:  # Numba is optional: NumPy then runs the same text, slowly.
 
     def register_jitable(function):

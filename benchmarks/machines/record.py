@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -160,8 +161,8 @@ def filtered(samples: np.ndarray, frequency: float, zeta: float) -> np.ndarray:
     ticks, n, channels = samples.shape
     omega = 2 * np.pi * frequency
     system = ([omega**2], [1.0, 2 * zeta * omega, omega**2])
-    top, bottom, _ = signal.cont2discrete(system, run.TICK / n, "foh")
-    top, bottom = np.ravel(top), np.ravel(bottom)
+    held: Any = signal.cont2discrete(system, run.TICK / n, "foh")
+    top, bottom = np.ravel(held[0]), np.ravel(held[1])
     rows = samples.reshape(ticks * n, channels)
     rest = signal.lfilter_zi(top, bottom)[:, None] * rows[0]
     return signal.lfilter(top, bottom, rows, axis=0, zi=rest)[0][::n]

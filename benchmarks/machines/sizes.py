@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,6 +58,8 @@ class Machine:
         noise: standard deviation of the logged pressures, Pa.
         lsb: their resolution, Pa.
         speed: of the piston at full command, m/s.
+        P_static: least and most pressure that holds the load, over the stroke and
+            both loads, Pa.
     """
 
     seed: int
@@ -71,7 +73,7 @@ class Machine:
     noise: float
     lsb: float
     speed: float
-    P_static: tuple[float, float] = field(default=(0.0, 0.0))
+    P_static: tuple[float, float]
 
     def loaded(self, share: float) -> Parameters:
         """Parameters with `share` times the load."""
