@@ -163,7 +163,7 @@ def test_seeds_leave_out_none_one_or_some():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, HOLDS, 10])
+@pytest.mark.parametrize("seed", [HOLDS, 10])
 def test_hydrojax_opens_what_is_recorded(seed, tmp_path, fast):
     machine = draw(seed)
     recording = record.record_machines([machine], 6.0, fast)[0]
@@ -179,7 +179,7 @@ def test_hydrojax_reads_every_effect_and_log(tmp_path, fast):
         (tmp_path / files.RIG).write_text(rigs.rig_text(machine))
         spec = RigFile.load(tmp_path / files.RIG)
         assert set(spec.effects) == set(machine.truth) - set(machine.left_out)
-    machine = draw(2)
+    machine = draw(PLAIN)  # no filter between the plant and the log
     recording = record.record_machines([machine], 3.0, fast)[0]
     files.write(recording, tmp_path)
     log = read(tmp_path / "fit_1.csv", RigFile.load(tmp_path / files.RIG))
