@@ -105,11 +105,17 @@ def test_the_exit_code_by_verdict(call, fitted, options, code):
 
 
 def test_json_alone_is_printed(call, fitted, monkeypatch):
-    module = "hydrojax.identify.results.report_json.report_json"
-    monkeypatch.setattr(module, lambda o: {"verdict": o.verdict})
-    said = call(*fitted[0], "--json", "--fail-on", "unknown")
+    """The file that was written, to the letter."""
+    words, _ = fitted
+    text = '{\n "verdict": "unknown",\n "made": "\u03c4"\n}\n'
+
+    def save(folder, _):
+        (folder / "report.json").write_text(text, encoding="utf-8")
+
+    monkeypatch.setattr(api.fit(), "save", save)
+    said = call(*words, "--json", "--fail-on", "unknown")
     assert said.code == 1
-    assert json.loads(said.out) == {"verdict": "unknown"}
+    assert said.out == text
 
 
 def test_an_edited_rig_file_is_not_overwritten(call, fitted, tmp_path):
