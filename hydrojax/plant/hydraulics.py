@@ -153,7 +153,7 @@ def _edges(rig: Rig, at: Point) -> tuple[tuple, tuple]:
         return rig.flows(at._replace(P_a1=P_1, P_a2=P_2))
 
     found, (up, _) = _apart(flows, at)
-    return found, (up[0], -up[1])
+    return found, _falling(up)
 
 
 def _capacities(rig: Rig, at: Point) -> tuple:
@@ -174,7 +174,17 @@ def _settling_rates(rig: Rig, at: Point) -> tuple[tuple, tuple, tuple]:
 
     (found, flows), (up, (edges, _)) = _apart(rates, at)
     settling = (jnp.maximum(-2 * up[0], 0.0), jnp.maximum(2 * up[1], 0.0))
-    return found, settling, (flows, (edges[0], -edges[1]))
+    return found, settling, (flows, _falling(edges))
+
+
+def _falling(up: tuple) -> tuple:
+    """Slopes of the edges' flows by the pressure at them, as they move apart.
+
+    A compensator that takes more than the drop lets a flow rise with the pressure
+    behind it: an implicit step along that may have no answer, so it takes none.
+    """
+    own = (up[0], -up[1])
+    return tuple(jnp.where(s < 0, s, 0.0) for s in own)
 
 
 def _apart(f: Callable, at: Point) -> tuple:

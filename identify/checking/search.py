@@ -189,7 +189,8 @@ def _odd_signals(of: Inputs) -> dict[str, float]:
         ends = of.spec.parameters.get("delta_1")
         more = ends.range[1] if ends and ends.range else 0.1 * of.geometry.length
         out["travel"] = _beyond(far, 0.0 + 1e-30, of.geometry.length / 2 + more)
-    P_s = float(np.median(np.concatenate([s.P_s for s in of.stretches])))
+    # A load-sensing pump stands by far below a load that a check valve holds.
+    P_s = float(np.quantile(np.concatenate([s.P_s for s in of.stretches]), 0.99))
     if of.has_flow:
         out["P_s"] = _beyond(max(P_s, 1.0), *SUPPLIES)
     for i, name in enumerate(("P_a1", "P_a2")):
