@@ -7,7 +7,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.parameters import param, spread
-from hydrojax.plant.effect import CommandChannel, CommandDelay, OrificeEffect
+from hydrojax.plant.effect import (
+    CommandChannel,
+    CommandDelay,
+    OrificeEffect,
+    Spool,
+    SpoolLimit,
+)
 
 QUEUE = 16
 """Ticks of command that a delay holds in a plant that steps, unless told otherwise: it
@@ -108,8 +114,10 @@ class ValveHysteresis(CommandChannel):
         return out, out
 
 
-class ValveRateLimit(CommandChannel):
+class ValveRateLimit(SpoolLimit):
     """Spool with `abs(ds/dt) <= r_v` (V2); exact for the mean over a step.
+
+    Beside `valve_lag` it limits the speed of that spool.
 
     Stored as `slew = 1/r_v` so that absent is 0: under a held command the spool runs
     along a ramp, and the area it loses, `slew du abs(du) / 2`, is linear in `slew`.
@@ -121,13 +129,16 @@ class ValveRateLimit(CommandChannel):
         "s/{u}",
         0.0,
         0.0,
-        0.2,
+        2.0,
         "largest rate of the spool",
         strength=True,
         size=2e-3,
-        grid=spread(3e-3, 0.2, 5),
+        grid=spread(3e-3, 2.0, 7),
         outside=("r_v", "{u}/s"),
     )
+
+    def slowness(self):
+        return self.slew
 
     def init(self, u):
         return u
@@ -144,7 +155,7 @@ class ValveRateLimit(CommandChannel):
         return end, jnp.where(late, memory + way / 2, ramp)
 
 
-class ValveLag(CommandChannel):
+class ValveLag(Spool):
     """Second-order spool (V1): `s'' + 2 zeta omega s' + omega^2 s = omega^2 u`.
 
     Exact for a held command. Stored as `tau = 1/omega` so that absent is 0. The mean
@@ -172,7 +183,7 @@ class ValveLag(CommandChannel):
     def init(self, u):
         return u, jnp.zeros_like(u)
 
-    def step(self, memory, u, h):
+    def step_within(self, memory, u, h, slowness):
         y, rate = memory  # the spool's place, and its rate times tau
         off = y - u
         absent = self.tau <= 0
@@ -185,7 +196,19 @@ class ValveLag(CommandChannel):
         rate_new = -sin * off + (cos - zeta * sin) * rate
         # Integral of the offset over the tick, from A^-1 (e^{Ah} - 1).
         area = self.tau * (2 * zeta * (off - off_new) + (rate - rate_new))
-        return (u + off_new, rate_new), u + area / h
+        end, mean = u + off_new, u + area / h
+
+        way = end - y
+        need = slowness * jnp.abs(way)  # seconds to get there
+        late = need > h
+        most = jnp.where(way < 0, -1.0, 1.0) * h / jnp.where(late, slowness, 1.0)
+        # A spool without inertia jumps, and loses the area of a ramp.
+        mean = mean - jnp.where(absent, 0.5 * way * need / h, 0.0)
+        fast = slowness * jnp.abs(rate_new) > self.tau
+        top = self.tau / jnp.where(fast, slowness, 1.0)
+        rate_new = jnp.where(fast, jnp.where(rate_new < 0, -top, top), rate_new)
+        memory = jnp.where(late, y + most, end), rate_new
+        return memory, jnp.where(late, y + most / 2, mean)
 
 
 class ValveDeadband(CommandChannel):

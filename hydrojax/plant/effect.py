@@ -72,6 +72,48 @@ class CommandDelay(CommandChannel):
         raise NotImplementedError
 
 
+class SpoolLimit(CommandChannel):
+    """A limit of the spool's rate: `slowness() -> s/{u}`, 1 over it, zero for none.
+
+    It acts inside the spool where the command's path has one, and by its own `step`
+    where it has not.
+    """
+
+    def slowness(self) -> Float[Array, ""]:
+        """The least time in which the spool moves by one, s/{u}."""
+        raise NotImplementedError
+
+
+class Spool(CommandChannel):
+    """The spool's own motion: `step_within(memory, u, h, slowness)`.
+
+    What limits its rate holds while it moves, so that it runs at the limit at once and
+    settles behind it; a limit ahead of it or behind would add both delays, or neither.
+    """
+
+    def step(self, memory, u: Float[Array, "*batch"], h: Float[Array, "*batch"]):
+        """One step of length `h` that nothing limits."""
+        return self.step_within(memory, u, h, jnp.zeros(()))
+
+    def step_within(
+        self, memory, u: Float[Array, "*batch"], h: Float[Array, "*batch"],
+        slowness: Float[Array, ""],
+    ):  # fmt: skip
+        """`step` with at most `h / slowness` of the way."""
+        raise NotImplementedError
+
+    def parts_within(
+        self, memory, us: list[Float[Array, "*batch"]], h: Float[Array, "*batch"],
+        slowness: Float[Array, ""],
+    ):  # fmt: skip
+        """`parts` within that limit."""
+        out = []
+        for u in us:
+            memory, u = self.step_within(memory, u, h, slowness)
+            out.append(u)
+        return memory, out
+
+
 class OrificeEffect(Effect):
     """Changes the valve's four edges: how far they open, how laminar they are.
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Chambers, Lines, Point, refilled
-from hydrojax.plant.effect import Effect
+from hydrojax.plant.effect import Effect, Spool, SpoolLimit
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import Layout
 from hydrojax.plant.places import PLACES
@@ -78,9 +78,15 @@ class Rig(eqx.Module):
         h: Float[Array, "*batch"],
     ) -> tuple[tuple, list[Float[Array, "*batch"]]]:
         """The same for a command that differs from part to part, each `h` s long."""
+        limits = [c for c in self.command if isinstance(c, SpoolLimit)]
+        spools = [c for c in self.command if isinstance(c, Spool)]
+        slowness = sum((c.slowness() for c in limits), start=jnp.zeros(()))
         out = []
         for channel, m in zip(self.command, memory, strict=True):
-            m, us = channel.parts(m, us, h)
+            if isinstance(channel, Spool):
+                m, us = channel.parts_within(m, us, h, slowness)
+            elif not (spools and isinstance(channel, SpoolLimit)):
+                m, us = channel.parts(m, us, h)
             out.append(m)
         return tuple(out), us
 

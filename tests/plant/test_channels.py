@@ -25,6 +25,9 @@ from hydrojax.effects.valve import (
     ValveLag,
     ValveRateLimit,
 )
+from hydrojax.plant.layout import LAYOUTS
+from hydrojax.plant.rig import add, bare_rig
+from tests.conftest import GEOMETRY
 
 H = 1e-3
 COMMAND = (
@@ -170,6 +173,67 @@ def lag_truth(u, omega, zeta, h, fine=400):
         means.append(weight @ y)
         ends.append(state[0])
     return np.array(means), np.array(ends)
+
+
+# -- lag and slew --
+
+
+def spool_truth(u, omega, zeta, r_v, h, fine=2000):
+    """Means over each tick of a spool with inertia whose speed cannot pass `r_v`."""
+    y, v, step, means = u[0], 0.0, h / fine, []
+    for value in u:
+        whole = 0.0
+        for _ in range(fine):
+            v += step * omega * (omega * (value - y) - 2 * zeta * v)
+            v = min(max(v, -r_v), r_v)
+            whole += y + step * v / 2
+            y += step * v
+        means.append(whole / fine)
+    return np.array(means)
+
+
+def rigged(channels, u, h):
+    """Means over each tick at the end of a rig's command path."""
+    rig = add(bare_rig(LAYOUTS["pull-pull"], GEOMETRY), channels)
+    u = jnp.asarray(u)
+
+    def tick(memory, value):
+        memory, means = rig.command_parts(memory, value, h)
+        return memory, jnp.mean(jnp.stack(means))
+
+    return jax.lax.scan(tick, rig.command_init(u[0]), u)[1]
+
+
+@pytest.mark.parametrize("r_v", [1.6, 5.0, 60.0])
+def test_a_limit_holds_while_the_spool_moves(r_v):
+    """Steps of a slow spool at 100 Hz, from inside the limit to far beyond it."""
+    u = np.repeat([0.0, 0.9, -0.4, -0.3, 0.0], 25)
+    channels = [ValveRateLimit(slew=1 / r_v), ValveLag(tau=1 / 30.0, zeta=0.66)]
+    got = rigged(channels, u, 0.01)
+    assert np.allclose(got, spool_truth(u, 30.0, 0.66, r_v, 0.01), rtol=0, atol=6e-3)
+
+
+def test_a_limit_is_its_own_where_the_spool_has_no_inertia():
+    u = held(60)
+    limit = ValveRateLimit(slew=1 / 300.0)
+    alone = rigged([limit], u, H)
+    assert np.ptp(alone - u) > 0.1
+    assert np.allclose(rigged([limit, ValveLag()], u, H), alone, rtol=0, atol=1e-12)
+
+
+def test_both_derivatives_live_where_both_are_absent():
+    u, size = held(60), 1e-7
+
+    def by(slew, tau):
+        return rigged([ValveRateLimit(slew=slew), ValveLag(tau=tau)], u, H)
+
+    one = jnp.ones(())
+    for along in ((one, 0 * one), (0 * one, one)):
+        slope = jax.jvp(by, (0 * one, 0 * one), along)[1]
+        steps = [size * float(a) for a in along]
+        found = (by(*steps) - by(0.0, 0.0)) / size
+        assert np.max(np.abs(found)) > 0.1
+        assert np.allclose(slope, found, rtol=1e-3, atol=1e-3 * np.max(np.abs(found)))
 
 
 @pytest.mark.parametrize("zeta", [0.2, 0.5, 0.7, 0.99])
