@@ -100,7 +100,9 @@ class Linear(NamedTuple):
         return lsq_linear(R, aim, ends, method="bvls").x / size
 
     def predicted(self, problem: Problem) -> float:
-        """The sum of squares where a linear step would end."""
+        """The sum of squares where a linear step would end; inf where it has none."""
+        if not np.all(np.isfinite(self.gram)):
+            return np.inf
         full = np.append(self.move(problem, 1e-6), 1.0)
         return float(full @ self.gram @ full)
 

@@ -6,7 +6,7 @@ do is not predicted by their derivative at zero, along which a fit goes the wron
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -25,7 +25,7 @@ from hydrojax.identify.estimation.columns import slot_names
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.estimation.starts import placed, thinned
 from hydrojax.identify.tracing.score import Score
-from hydrojax.identify.tracing.state import Tracing, free_names
+from hydrojax.identify.tracing.state import Added, Tracing, free_names
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
 
@@ -81,6 +81,38 @@ def from_afar(
             fits = sorted(fits, key=lambda f: f.left)
             out[name] = (float(gain), tuple(f.values for f in fits))
     return out
+
+
+def together(state: Tracing, effects: Mapping[str, Effect]) -> Iterator[Tracing]:
+    """Sets of effects that the flow balances want together, each of one more.
+
+    Where several are missing, none may help a replay that lacks the others: a balance
+    knows its own tick only, and tells them apart one after the other.
+
+    Yields:
+        The state with the set among what is free and added, at the values to fit from.
+    """
+    own = state.criteria
+    for _ in range(own.together):
+        known = {a.name for a in state.added}
+        search = _balances(state, {n: e for n, e in effects.items() if n not in known})
+        if search is None:
+            return
+        found = _found(state, effects, search)
+        fits = [
+            (f.left, n, f.values) for n, own_fits in found.items() for f in own_fits
+        ]
+        left, name, values = min(fits, key=lambda f: f[0], default=(np.inf, "", None))
+        if values is None or not left < (1 - own.wanted) * search.here:
+            return
+        none = np.full(3, np.nan)
+        state = replace(
+            state,
+            point=replace(state.point, values=values),
+            free=(*state.free, *free_names(effects[name])),
+            added=(*state.added, Added(name, 1.0, none, none, ())),
+        )
+        yield state
 
 
 def _balances(state: Tracing, effects: Mapping[str, Effect]) -> _Search | None:

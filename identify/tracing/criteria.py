@@ -62,6 +62,11 @@ class Criteria:
     balance_ticks: int = 8000
     """Ticks whose flow balances are fitted to look for starts, count: in windows
     spread over the logs: time against information."""
+    together: int = 6
+    """Effects that are tried together where none helps alone, count: time."""
+    wanted: float = 0.05
+    """Share of what the flow balances lack that the next of them has to take away, 1.
+    `benchmarks.recorded` (machine 06)."""
     outdone: float = 5.0
     """Times what the best start leaves of the balances from which another candidate is
     not refitted once the best has helped, 1: time. `benchmarks.trace`."""

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import comb
 
 import numpy as np
 
 from hydrojax.identify.estimation.fit import FitPoint, fit_force, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.tracing.afar import together
 from hydrojax.identify.tracing.judge import chance, cost, judge, negligible, worse
-from hydrojax.identify.tracing.refit import refit
+from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.rivals import reconsidered, with_look_alikes
 from hydrojax.identify.tracing.score import Score, family, worth_a_refit
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
@@ -45,10 +47,44 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
         scores = scores_of(state, rest, noise)
         state = replace(state, scores={**state.scores, **scores})
         more = _round(state, rest, scores, noise)
+        fresh = 1
+        if len(more.added) == len(state.added):
+            more = _several(more, effects, noise)
+            fresh = 0  # each of a set is questioned
         if len(more.added) == len(state.added):
             return more
-        state = reconsidered(more, effects, noise)
+        state = reconsidered(more, effects, noise, fresh)
     return state
+
+
+def _several(
+    state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
+) -> Tracing:
+    """Add those effects that help together, if any do, where none does alone."""
+    check, own = state.check, state.criteria
+    before = check.errors_at(state.point.values)
+    if not np.any((check.rms(before) > own.at_noise * noise)[PRESSURES]):
+        return state
+    path, last, best = state.added, before, state
+    least = cost(before, noise)
+    for there in together(state, effects):
+        name = there.added[-1].name
+        state.progress(f"refit with {name} and what the flow balances want with it")
+        problem, point = fit_from(there, there.point.values, there.free, noise)
+        after = check.errors_at(point.values)
+        ways = comb(len(state.effects), len(there.added) - len(state.added))
+        p_value = min(ways * chance(before, after, noise), 1.0)
+        path = (*path, Added(name, p_value, check.rms(last), check.rms(after), ()))
+        helps = judge(state, before, after, noise) == "helps"
+        if helps and cost(after, noise) < least:
+            least = cost(after, noise)
+            best = replace(
+                there, problem=problem, point=point, added=path, tried=state.tried
+            )
+        last = after
+    for a in best.added[len(state.added) :]:
+        state.progress(f"added {a.name}")
+    return best
 
 
 def _round(

@@ -17,12 +17,16 @@ from hydrojax.plant.effect import Effect
 
 
 def reconsidered(
-    state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
+    state: Tracing,
+    effects: Mapping[str, Effect],
+    noise: Float[np.ndarray, "3"],
+    fresh: int = 1,
 ) -> Tracing:
-    """Let go of effects that the last one made needless, and exchange one that a rival
+    """Let go of effects that the last ones made needless, and exchange one that a rival
     does better than: an early pick was made while the others were still missing.
+    The last `fresh` are not questioned.
     """
-    for name in [a.name for a in state.added[:-1]]:
+    for name in [a.name for a in state.added[: len(state.added) - fresh]]:
         less = without(state, name, noise)
         own, gone = (
             s.check.rms(s.check.errors_at(s.point.values)) for s in (state, less)
