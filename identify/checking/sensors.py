@@ -20,6 +20,8 @@ STANDSTILL = 2e-4
 second."""
 STUCK = 0.1
 """Seconds of one and the same reading from which a noisy sensor is stuck."""
+REST = 3.0
+"""Steps of a sensor up to which its next reading may be the same signal at rest."""
 DEAD = 0.99
 """Share of readings equal to the one before from which a sensor is dead."""
 CLIPPED = 1e-3
@@ -45,7 +47,7 @@ class Readings:
         noise: standard deviation of the white part, from sixth differences.
         repeated: share of readings equal to the one before.
         at_ends: share of readings at the smallest or largest value, in runs of three.
-        stuck: the longest run of one reading, s.
+        stuck: the longest run of one reading that begins or ends with a jump, s.
         roll_off: by how many decibels power falls from a third of the rate to half.
         below_vacuum: share of readings that no oil can have; 0 for what is no pressure.
     """
@@ -104,8 +106,14 @@ def _channel(name: str, logs: Sequence[Log]) -> Readings:
     low, high = float(np.min(whole)), float(np.max(whole))
     steps = np.diff(np.unique(whole))
     steps = steps[steps > 1e-12 * max(high - low, 1e-300)]
+    resolution = float(np.min(steps, initial=high - low))
+    repeated = float(np.mean(np.diff(whole) == 0))
+    rest = REST * resolution if repeated < DEAD else 0.0
     runs = [_runs(y) for _, y in pieces]
-    longest = max(h * int(r.max()) for (h, _), r in zip(pieces, runs, strict=True))
+    longest = max(
+        h * _longest_hold(y, r, rest)
+        for (h, y), r in zip(pieces, runs, strict=True)
+    )
     held = np.concatenate([np.repeat(r, r) for r in runs])
     ends = np.concatenate([(y == y.min()) | (y == y.max()) for _, y in pieces])
     loud = [estimate_noise(y) for _, y in pieces if np.ptp(y) > 0 and len(y) > 7]
@@ -114,9 +122,9 @@ def _channel(name: str, logs: Sequence[Log]) -> Readings:
         logs[0].units.get(name, ""),
         low,
         high,
-        float(np.min(steps, initial=high - low)),
+        resolution,
         float(np.median(loud)) if loud else 0.0,
-        float(np.mean(np.diff(whole) == 0)),
+        repeated,
         float(np.mean(ends & (held >= 3))),
         longest,
         max((_roll_off(y) for _, y in pieces if np.ptp(y) > 0), default=0.0),
@@ -128,6 +136,14 @@ def _runs(y: Float[np.ndarray, "rows"]) -> np.ndarray:
     """Lengths of the runs of one value, in ticks."""
     turns = np.flatnonzero(np.diff(y) != 0)
     return np.diff(np.concatenate([[-1], turns, [len(y) - 1]]))
+
+
+def _longest_hold(y: Float[np.ndarray, "rows"], runs: np.ndarray, step: float) -> int:
+    """Ticks of the longest run of one reading that begins or ends with a jump."""
+    ends = np.cumsum(runs)
+    jumps = np.abs(np.diff(y))[ends[:-1] - 1] > step
+    around = np.concatenate([[False], jumps]) | np.concatenate([jumps, [False]])
+    return int(np.max(runs[around], initial=1))
 
 
 def _roll_off(y: Float[np.ndarray, "rows"]) -> float:

@@ -83,6 +83,28 @@ def test_a_sensor_that_stands_and_one_that_clips(honest):
     assert {("F", "stuck"), ("P_a1", "clipped")} <= said
 
 
+def test_a_coarse_sensor_at_rest_is_not_stuck(honest):
+    """It reads one value for a second and goes on by one step; one that is stuck comes
+    back elsewhere.
+    """
+    rig, (log, other) = honest
+    steps = np.resize([1.0, 1.0, -1.0], len(log.time))
+    steps[len(steps) // 2 :] *= -1.0
+    steps[1000:2000] = 0.0
+    coarse = 5e6 + 2e3 * np.cumsum(steps)
+    stuck = coarse.copy()
+    stuck[3000:3300] = stuck[3000]
+    rest = coarse[np.arange(len(other.time)) % 900]
+    for P, said in ((coarse, False), (stuck, True)):
+        logs = [
+            replace(g, signals=g.signals | {"P_a1": own})
+            for g, own in ((log, P), (other, rest))
+        ]
+        found = hj.check(rig, logs).findings
+        told = set(zip(found.input, found.finding, strict=True))
+        assert (("P_a1", "stuck") in told) is said
+
+
 def test_pressures_that_no_oil_has_are_said_first(honest):
     """Some -5 MPa of gauge pressure: no answer comes without a word on it."""
     rig, (log, other) = honest
