@@ -93,7 +93,7 @@ def test_a_coarse_sensor_at_rest_is_not_stuck(honest):
     steps[1000:2000] = 0.0
     coarse = 5e6 + 2e3 * np.cumsum(steps)
     stuck = coarse.copy()
-    stuck[3000:3300] = stuck[3000]
+    stuck[300:600] = stuck[300]
     rest = coarse[np.arange(len(other.time)) % 900]
     for P, said in ((coarse, False), (stuck, True)):
         logs = [
