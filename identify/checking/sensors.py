@@ -111,8 +111,7 @@ def _channel(name: str, logs: Sequence[Log]) -> Readings:
     rest = REST * resolution if repeated < DEAD else 0.0
     runs = [_runs(y) for _, y in pieces]
     longest = max(
-        h * _longest_hold(y, r, rest)
-        for (h, y), r in zip(pieces, runs, strict=True)
+        h * _longest_hold(y, r, rest) for (h, y), r in zip(pieces, runs, strict=True)
     )
     held = np.concatenate([np.repeat(r, r) for r in runs])
     ends = np.concatenate([(y == y.min()) | (y == y.max()) for _, y in pieces])

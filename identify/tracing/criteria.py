@@ -62,8 +62,11 @@ class Criteria:
     balance_ticks: int = 8000
     """Ticks whose flow balances are fitted to look for starts, count: in windows
     spread over the logs: time against information."""
+    much: float = 2.0
+    """RMS of a pressure over its noise that effects found one by one have to leave for
+    several to be tried together, 1: time. `benchmarks.recorded` (machine 06)."""
     together: int = 6
-    """Effects that are tried together where none helps alone, count: time."""
+    """Effects that are tried together, count: time."""
     wanted: float = 0.05
     """Share of what the flow balances lack that the next of them has to take away, 1.
     `benchmarks.recorded` (machine 06)."""

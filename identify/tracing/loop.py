@@ -41,32 +41,50 @@ def search_effects(state: Tracing) -> Tracing:
 
 
 def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
+    """Effects one by one; where that leaves much, several at once, from the start."""
+    found = _rounds(state, effects, noise)
+    own = state.criteria
+    if not np.any((_rms(found) > own.much * noise)[PRESSURES]):
+        return found
+    several = _several(state, effects, noise)
+    if len(several.added) < len(state.added) + 2 or _cost(several, noise) > _cost(
+        found, noise
+    ):
+        return found
+    several = reconsidered(several, effects, noise, fresh=0)
+    return _rounds(several, effects, noise)
+
+
+def _rounds(
+    state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
+) -> Tracing:
     for _ in range(state.criteria.rounds):
         known = {a.name for a in state.added}
         rest = {n: e for n, e in effects.items() if n not in known}
         scores = scores_of(state, rest, noise)
         state = replace(state, scores={**state.scores, **scores})
         more = _round(state, rest, scores, noise)
-        fresh = 1
-        if len(more.added) == len(state.added):
-            more = _several(more, effects, noise)
-            fresh = 0  # each of a set is questioned
         if len(more.added) == len(state.added):
             return more
-        state = reconsidered(more, effects, noise, fresh)
+        state = reconsidered(more, effects, noise)
     return state
+
+
+def _rms(state: Tracing) -> np.ndarray:
+    return state.check.rms(state.check.errors_at(state.point.values))
+
+
+def _cost(state: Tracing, noise: np.ndarray) -> float:
+    return cost(state.check.errors_at(state.point.values), noise)
 
 
 def _several(
     state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
 ) -> Tracing:
-    """Add those effects that help together, if any do, where none does alone."""
-    check, own = state.check, state.criteria
+    """Add those effects that help together, if any do, though none may alone."""
+    check = state.check
     before = check.errors_at(state.point.values)
-    if not np.any((check.rms(before) > own.at_noise * noise)[PRESSURES]):
-        return state
     path, last, best = state.added, before, state
-    least = cost(before, noise)
     for there in together(state, effects):
         name = there.added[-1].name
         state.progress(f"refit with {name} and what the flow balances want with it")
@@ -76,8 +94,7 @@ def _several(
         p_value = min(ways * chance(before, after, noise), 1.0)
         path = (*path, Added(name, p_value, check.rms(last), check.rms(after), ()))
         helps = judge(state, before, after, noise) == "helps"
-        if helps and cost(after, noise) < least:
-            least = cost(after, noise)
+        if helps and cost(after, noise) < _cost(best, noise):
             best = replace(
                 there, problem=problem, point=point, added=path, tried=state.tried
             )
