@@ -20,9 +20,11 @@ from hydrojax.identify.preparation.windows import (
     DRIVEN_LEAD,
     FEWEST_LEAD,
     LEAD,
+    MOST_AHEAD,
     PRE,
     REACH,
     SETTLE,
+    SLOW_REACH,
     SUBSTEP,
     cut,
     motion,
@@ -136,7 +138,8 @@ class _Size(NamedTuple):
         """The size of windows of `horizon` s on logs with a row every `h` s."""
         T = max(int(round(horizon / h)), 8)
         if driven_by == "u":
-            ahead = max(PRE, round(REACH / h))
+            slow = min(round(SLOW_REACH / h), MOST_AHEAD)
+            ahead = max(PRE, round(REACH / h), slow)
             lead = max(FEWEST_LEAD, round(LEAD / h))
             return cls(T, PRE, ahead, lead, max(1, int(np.ceil(h / SUBSTEP))))
         return cls(T, 1, 1, min(DRIVEN_LEAD, int(0.3 / h)), 1)

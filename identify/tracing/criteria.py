@@ -67,7 +67,7 @@ class Criteria:
     several to be tried together, 1: time. `benchmarks.recorded` (machine 06)."""
     together: int = 6
     """Effects that are tried together, count: time."""
-    wanted: float = 0.05
+    wanted: float = 0.02
     """Share of what the flow balances lack that the next of them has to take away, 1.
     `benchmarks.recorded` (machine 06)."""
     outdone: float = 5.0
