@@ -6,6 +6,7 @@ The logs are those of machines recorded by a plant that shares no code with this
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from hydrojax.identify.estimation.starts import thinned
 from hydrojax.identify.preparation import data as preparation
 from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs
-from hydrojax.identify.tracing.afar import _balances, _found
+from hydrojax.identify.tracing.afar import _balances, _found, together
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log
@@ -176,3 +177,17 @@ def test_lines_in_which_nothing_stands_are_left_out(machine):
     held = np.array(values)
     held[model.names.index("counterbalance.k_2")] = 1e11
     assert model.acting(held)[0].names == model.names
+
+
+@pytest.mark.slow
+def test_effects_that_are_missing_together_are_told_apart_one_by_one():
+    """Of nine the first four, none of which helps a replay without the others."""
+    folder = DATA / "machine_06"
+    if not folder.exists():
+        pytest.skip("the machines' logs are not here")
+    state = state_of(folder)
+    sets = [there.added for there in islice(together(state, state.effects), 4)]
+    truth = set(RigFile.load(folder / "rig_declared.toml").effects)
+    assert [len(names) for names in sets] == [1, 2, 3, 4]
+    assert {a.name for a in sets[-1]} <= truth
+    assert truth.isdisjoint(RigFile.load(folder / "rig.toml").effects)
