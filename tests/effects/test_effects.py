@@ -574,6 +574,8 @@ def full(rig):
     # Half open at these pressures, ahead of lines that these small chambers can hold.
     new["counterbalance.P_set"] = 1.9e7
     new["counterbalance.V_line"] = 2e-5
+    # Slower than the spool that it limits would move at times.
+    new["valve_rate_limit.slew"] = 0.011
     return put(rig, list(new), list(new.values()))
 
 
