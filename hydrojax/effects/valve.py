@@ -56,7 +56,7 @@ class ValveDelay(CommandDelay):
         memory, (u,) = self.parts(memory, [u], h)
         return memory, u
 
-    def parts(self, memory, us, h):
+    def parts(self, memory, us, h, *more):
         u, n = us[0], len(us)
         memory = jnp.concatenate([u[..., None], memory[..., :-1]], axis=-1)
         # No further back than the queue: a longer delay reads its oldest command.
@@ -183,7 +183,7 @@ class ValveLag(Spool):
     def init(self, u):
         return u, jnp.zeros_like(u)
 
-    def step_within(self, memory, u, h, slowness):
+    def step(self, memory, u, h, slowness=0.0):
         y, rate = memory  # the spool's place, and its rate times tau
         off = y - u
         absent = self.tau <= 0

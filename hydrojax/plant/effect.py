@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding
@@ -50,12 +50,15 @@ class CommandChannel(Effect):
         raise NotImplementedError
 
     def parts(
-        self, memory, us: list[Float[Array, "*batch"]], h: Float[Array, "*batch"]
+        self, memory, us: list[Float[Array, "*batch"]], h: Float[Array, "*batch"], *more
     ):
-        """A tick cut into steps of length `h`: new memory, and each step's mean."""
+        """A tick cut into steps of length `h`: new memory, and each step's mean.
+
+        What `step` takes besides comes last.
+        """
         out = []
         for u in us:
-            memory, u = self.step(memory, u, h)
+            memory, u = self.step(memory, u, h, *more)
             out.append(u)
         return memory, out
 
@@ -85,33 +88,18 @@ class SpoolLimit(CommandChannel):
 
 
 class Spool(CommandChannel):
-    """The spool's own motion: `step_within(memory, u, h, slowness)`.
+    """The spool's own motion: `step(memory, u, h, slowness)`.
 
     What limits its rate holds while it moves, so that it runs at the limit at once and
     settles behind it; a limit ahead of it or behind would add both delays, or neither.
     """
 
-    def step(self, memory, u: Float[Array, "*batch"], h: Float[Array, "*batch"]):
-        """One step of length `h` that nothing limits."""
-        return self.step_within(memory, u, h, jnp.zeros(()))
-
-    def step_within(
+    def step(
         self, memory, u: Float[Array, "*batch"], h: Float[Array, "*batch"],
-        slowness: Float[Array, ""],
+        slowness: ArrayLike = 0.0,
     ):  # fmt: skip
-        """`step` with at most `h / slowness` of the way."""
+        """One step of length `h`, with at most `h / slowness` of the way."""
         raise NotImplementedError
-
-    def parts_within(
-        self, memory, us: list[Float[Array, "*batch"]], h: Float[Array, "*batch"],
-        slowness: Float[Array, ""],
-    ):  # fmt: skip
-        """`parts` within that limit."""
-        out = []
-        for u in us:
-            memory, u = self.step_within(memory, u, h, slowness)
-            out.append(u)
-        return memory, out
 
 
 class OrificeEffect(Effect):

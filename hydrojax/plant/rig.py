@@ -84,7 +84,7 @@ class Rig(eqx.Module):
         out = []
         for channel, m in zip(self.command, memory, strict=True):
             if isinstance(channel, Spool):
-                m, us = channel.parts_within(m, us, h, slowness)
+                m, us = channel.parts(m, us, h, slowness)
             elif not (spools and isinstance(channel, SpoolLimit)):
                 m, us = channel.parts(m, us, h)
             out.append(m)

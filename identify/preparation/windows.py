@@ -17,8 +17,8 @@ REACH = 0.26
 least: a slow spool remembers so long, and the longest delay is within."""
 
 SLOW_REACH, MOST_AHEAD = 3.0, 260
-"""The same where that takes no more ticks: a spool of a mobile machine, limited to one
-per second, is on its way from end to end for two seconds."""
+"""Seconds that slow logs are given instead, and ticks at most: a spool of a mobile
+machine, limited to one per second, takes two seconds from end to end."""
 
 LEAD, FEWEST_LEAD = 0.02, 4
 """Seconds at the head of a window that are run but not compared, and ticks at least."""

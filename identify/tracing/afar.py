@@ -99,16 +99,16 @@ def together(state: Tracing, effects: Mapping[str, Effect]) -> Iterator[Tracing]
         if search is None:
             return
         found = _found(state, effects, search)
-        fits = [
-            (f.left, n, f.values) for n, own_fits in found.items() for f in own_fits
-        ]
-        left, name, values = min(fits, key=lambda f: f[0], default=(np.inf, "", None))
-        if values is None or not left < (1 - own.wanted) * search.here:
+        fits = [(name, fit) for name, own_fits in found.items() for fit in own_fits]
+        if not fits:
+            return
+        name, fit = min(fits, key=lambda f: f[1].left)
+        if not fit.left < (1 - own.wanted) * search.here:
             return
         none = np.full(3, np.nan)
         state = replace(
             state,
-            point=replace(state.point, values=values),
+            point=replace(state.point, values=fit.values),
             free=(*state.free, *free_names(effects[name])),
             added=(*state.added, Added(name, 1.0, none, none, ())),
         )

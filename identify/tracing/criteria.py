@@ -68,8 +68,9 @@ class Criteria:
     together: int = 6
     """Effects that are tried together, count: time."""
     wanted: float = 0.02
-    """Share of what the flow balances lack that the next of them has to take away, 1.
-    `benchmarks.recorded` (machine 06)."""
+    """Share of what the flow balances lack that the next of them has to take away, 1:
+    a dead band of 5 % takes 4 % where a lag and air are missing too
+    (`benchmarks.machines`, machine 11)."""
     outdone: float = 5.0
     """Times what the best start leaves of the balances from which another candidate is
     not refitted once the best has helped, 1: time. `benchmarks.trace`."""

@@ -44,11 +44,12 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
     """Effects one by one; where that leaves much, several at once, from the start."""
     found = _rounds(state, effects, noise)
     own = state.criteria
-    if not np.any((_rms(found) > own.much * noise)[PRESSURES]):
+    if not np.any((found.check.rms(_errors(found)) > own.much * noise)[PRESSURES]):
         return found
     several = _several(state, effects, noise)
-    if len(several.added) < len(state.added) + 2 or _cost(several, noise) > _cost(
-        found, noise
+    one_by_one, at_once = _errors(found), _errors(several)
+    if len(several.added) < len(state.added) + 2 or not worse(
+        one_by_one, at_once, noise, own.beyond_chance
     ):
         return found
     several = reconsidered(several, effects, noise, fresh=0)
@@ -58,6 +59,7 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
 def _rounds(
     state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
 ) -> Tracing:
+    """Effects one by one, until none is left that helps."""
     for _ in range(state.criteria.rounds):
         known = {a.name for a in state.added}
         rest = {n: e for n, e in effects.items() if n not in known}
@@ -70,12 +72,8 @@ def _rounds(
     return state
 
 
-def _rms(state: Tracing) -> np.ndarray:
-    return state.check.rms(state.check.errors_at(state.point.values))
-
-
-def _cost(state: Tracing, noise: np.ndarray) -> float:
-    return cost(state.check.errors_at(state.point.values), noise)
+def _errors(state: Tracing) -> np.ndarray:
+    return state.check.errors_at(state.point.values)
 
 
 def _several(
@@ -83,8 +81,8 @@ def _several(
 ) -> Tracing:
     """Add those effects that help together, if any do, though none may alone."""
     check = state.check
-    before = check.errors_at(state.point.values)
-    path, last, best = state.added, before, state
+    before = _errors(state)
+    path, last, best, least = state.added, before, state, before
     for there in together(state, effects):
         name = there.added[-1].name
         state.progress(f"refit with {name} and what the flow balances want with it")
@@ -94,7 +92,8 @@ def _several(
         p_value = min(ways * chance(before, after, noise), 1.0)
         path = (*path, Added(name, p_value, check.rms(last), check.rms(after), ()))
         helps = judge(state, before, after, noise) == "helps"
-        if helps and cost(after, noise) < _cost(best, noise):
+        if helps and cost(after, noise) < cost(least, noise):
+            least = after
             best = replace(
                 there, problem=problem, point=point, added=path, tried=state.tried
             )
