@@ -170,6 +170,7 @@ def log_batch(
         x_fine=path(fine, 0),
         P_a1=table[index, 1],
         P_a2=table[index, 2],
+        dP=_derivatives(table[:, 1:3], setup.h)[index],
         measured=jnp.zeros((len(first), WINDOW, 3)),
     )
     dx = jnp.diff(path(quarters, 0), axis=1)[None]
@@ -184,6 +185,13 @@ def log_batch(
         jnp.asarray(supply),
         jnp.ones(len(first)),
     )
+
+
+def _derivatives(P: Float[Array, "ticks 2"], h: float) -> Float[Array, "ticks 3 2"]:
+    """First and second derivative of P_a1, P_a2 and a supply that stands still."""
+    slope = jnp.asarray(jnp.gradient(P, h, axis=0))
+    along = jnp.stack([slope, jnp.asarray(jnp.gradient(slope, h, axis=0))], axis=-1)
+    return jnp.pad(along, ((0, 0), (0, 1), (0, 0)))
 
 
 def information(setup: Setup, batch: Batch) -> tuple[Float[Array, "k k"], list[str]]:

@@ -21,6 +21,10 @@ class _Lag(SensorChannel):
         out = y - self.lag() * slope
         return (y, out), out, slope
 
+    def resume(self, y, slope, read):
+        out = jnp.where(self.lag() > 0, read[0], y)
+        return (y, out), out, read[1]
+
     def step(self, memory, y, h):
         before, out = memory
         tau = self.lag()
@@ -94,12 +98,14 @@ class PressureSensorLag(_Lag):
 
 
 class SignalFilter(SensorChannel):
-    """Second-order low-pass of both logged pressures: the logger's, not the rig's.
+    """Second-order low-pass of the logged pressures, the supply's too: the logger's,
+    not the rig's.
 
     Exact for a signal that is linear over each tick. Stored as `tau = 1/omega` so that
     absent is 0. `zeta` is taken up to 1, as of `valve_lag`.
     """
 
+    of_the_logger = True
     name = "signal_filter"
     place = "sensor_P"
     needs = ("u", "P_a1", "P_a2", "differential")
@@ -123,6 +129,13 @@ class SignalFilter(SensorChannel):
     def init(self, y, slope):
         late = y - 2 * self.zeta * self.tau * slope
         return (y, late, slope * self.tau), late, slope
+
+    def ahead(self, y, slope, bend):
+        return y + self.tau * (2 * self.zeta * slope + self.tau * bend)
+
+    def resume(self, y, slope, read):
+        out = jnp.where(self.tau > 0, read[0], y)
+        return (y, out, read[1] * self.tau), out, read[1]
 
     def step(self, memory, y, h):
         before, out, rate = memory  # the reading, and its rate times tau
@@ -216,7 +229,7 @@ class ChannelSkew(SensorChannel):
         older = jnp.take_along_axis(memory, whole + 1, axis=-1)[..., 0]
         return memory, newer + (late - whole[..., 0]) * (older - newer)
 
-    def run(self, y, slope, h):
+    def run(self, y, slope, h, read=None):
         t = jnp.pad(jnp.cumsum(h, axis=1), ((0, 0), (1, 0)))
         return jax.vmap(_along_lines)(y, t, t + self.tau_s), slope
 

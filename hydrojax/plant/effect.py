@@ -285,15 +285,34 @@ class SensorChannel(Effect):
     counts_ticks: ClassVar[bool] = False
     """Whether its memory counts ticks, so that all must have one length."""
 
+    of_the_logger: ClassVar[bool] = False
+    """Whether it stands behind all that a sensor does itself."""
+
     def of_chamber(self, i: int) -> SensorChannel:
         """This channel as the gauge of chamber 1 (`i` = 0) or 2 (`i` = 1) has it."""
         return self
+
+    def ahead(
+        self, y: Float[Array, "*batch"], slope: Float[Array, "*batch"],
+        bend: Float[Array, "*batch"],
+    ) -> Float[Array, "*batch"]:  # fmt: skip
+        """What stands ahead of a channel that every logged pressure passes, where its
+        reading is `y`, of first and second derivative `slope` and `bend`.
+        """
+        return y
 
     def init(
         self, y: Float[Array, "*batch"], slope: Float[Array, "*batch"]
     ) -> tuple[Any, Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Memory, reading and the reading's slope after a long run along a line."""
         return (), y, slope
+
+    def resume(
+        self, y: Float[Array, "*batch"], slope: Float[Array, "*batch"],
+        read: tuple[Float[Array, "*batch"], Float[Array, "*batch"]],
+    ) -> tuple[Any, Float[Array, "*batch"], Float[Array, "*batch"]]:  # fmt: skip
+        """`init` where the reading and its slope are known: `read`."""
+        return self.init(y, slope)
 
     def step(self, memory, y: Float[Array, "*batch"], h: Float[Array, "*batch"]):
         """One tick of length `h` at whose end the signal is `y`: memory, reading."""
@@ -304,13 +323,18 @@ class SensorChannel(Effect):
         y: Float[Array, "windows n"],
         slope: Float[Array, "windows"],
         h: Float[Array, "windows n-1"],
+        read: tuple[Float[Array, "windows"], Float[Array, "windows"]] | None = None,
     ) -> tuple[Float[Array, "windows n"], Float[Array, "windows"]]:
         """Readings of a known signal `y` [W, n], from the first tick on.
 
-        `slope` [W] is how it ran before, `h` [W, n-1] the ticks. Returns the readings
-        and how they ran before.
+        `slope` [W] is how it ran before, `h` [W, n-1] the ticks, `read` the reading at
+        the first tick and its slope where they are known. Returns the readings and how
+        they ran before.
         """
-        memory, first, slope = self.init(y[:, 0], slope)
+        begin = (y[:, 0], slope)
+        memory, first, slope = (
+            self.init(*begin) if read is None else self.resume(*begin, read)
+        )
         _, rest = jax.lax.scan(
             lambda m, tick: self.step(m, *tick), memory, (y[:, 1:].T, h.T)
         )

@@ -8,7 +8,13 @@ from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Lines, Point, refilled
-from hydrojax.plant.replay import Windows, follow_line, line_start, openings
+from hydrojax.plant.replay import (
+    Windows,
+    before_filters,
+    follow_line,
+    line_start,
+    openings,
+)
 from hydrojax.plant.rig import Rig
 
 
@@ -34,6 +40,7 @@ def imbalance_behind(
     def middle(a):
         return (a[:, :-1] + a[:, 1:]) / 2
 
+    w = before_filters(rig, w)
     h, n, x = w.h[:, :-1], w.x_fine.shape[-1], w.x_fine
     if rig.stretch:
         F = jnp.stack([w.F[:, :-1], w.F[:, 1:]], axis=-1)

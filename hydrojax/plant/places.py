@@ -94,14 +94,26 @@ def place_of(effect: Effect | type[Effect]) -> Place:
 
 
 def hydraulic_names(rig: eqx.Module) -> frozenset[str]:
-    """Names of the parameters on which the chamber pressures depend."""
+    """Names of the parameters on which the chamber pressures depend.
+
+    Those of the logger are among them: by these the true supply pressure is had from
+    the logged one.
+    """
     parts = {place.name for place in PLACES.values() if place.hydraulic}
     parts |= {"valve", "chambers"}
-    return frozenset(name for name, path in paths(rig).items() if path[0] in parts)
+    found = paths(rig).items()
+    return frozenset(
+        name for name, path in found if path[0] in parts or _of_the_logger(rig, path)
+    )
+
+
+def _of_the_logger(rig: eqx.Module, path: tuple) -> bool:
+    place, *index = path
+    return place == "sensor_P" and getattr(rig, place)[index[0]].of_the_logger
 
 
 def gauge_names(rig: eqx.Module) -> frozenset[str]:
-    """Names of the parameters of the pressure sensors, beside those of the pressures.
+    """Names of the parameters of the pressure sensors.
 
     Residuals of the pressures depend on them, the pressures themselves do not.
     """

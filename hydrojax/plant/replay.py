@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Lines, Point, refilled
-from hydrojax.plant.effect import CommandDelay
+from hydrojax.plant.effect import CommandDelay, SpoolLimit
 from hydrojax.plant.friction import Sliding, run_linear
 from hydrojax.plant.hydraulics import follow_drops, pressure_step, settled_drops
 from hydrojax.plant.rig import PARTS, Rig, mean_opening
@@ -50,9 +50,10 @@ class Windows(NamedTuple):
     is the command that precedes, `before_h` its tick lengths, `P_before` [W, pre, 2]
     the pressures then. `u`, `h`, `P_s`, `P_r`,
     `t`, `x`, `v`, `a`, `F`, `P_a1`, `P_a2` are [W, lead+T], at the ticks; `h` is the
-    tick that follows, `F` that of `Motion`. `x_fine` is [W, lead+T-1, 2n+1], `measured`
-    [W, T, 3] (P_a1, P_a2, F), `seg` and `first` say where each window lies in its
-    segment.
+    tick that follows, `F` that of `Motion`. `dP` [W, lead+T, 3, 2] are the first and
+    second derivative of P_a1, P_a2 and P_s as they were logged, smoothed. `x_fine` is
+    [W, lead+T-1, 2n+1], `measured` [W, T, 3] (P_a1, P_a2, F), `seg` and `first` say
+    where each window lies in its segment.
     """
 
     seg: Int[Array, "windows"]
@@ -72,6 +73,7 @@ class Windows(NamedTuple):
     x_fine: Float[Array, "windows n-1 fine"]
     P_a1: Float[Array, "windows n"]
     P_a2: Float[Array, "windows n"]
+    dP: Float[Array, "windows n 3 2"]
     measured: Float[Array, "windows scored 3"]
 
     @property
@@ -127,10 +129,13 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
     return Past(z, speed, v)
 
 
-NEAR, EACH = 60, 5
-"""Ticks right ahead of a window over which the command's path is run one by one, and
-the ticks of a step ahead of those: a spool that slews slowly remembers longer than it
-need be known tick by tick."""
+STEPS, SLOW_STEPS = ((60, 1), (260, 5)), ((260, 1), (960, 5))
+"""How many ticks ahead of a window the command's path is run in steps of how many: what
+a spool remembers need be known tick by tick for a while only, but one whose rate is
+limited forgets nothing while it is late."""
+
+SETTLED = 260
+"""Ticks ahead of a window over which a line settles at the measured pressures."""
 
 IN_LINES = 25
 """Ticks right ahead of a window over which the lines are followed: a line takes some
@@ -151,11 +156,13 @@ def _commands(
     late = [c for c in rig.command if isinstance(c, CommandDelay)]
     rest = tuple(c for c in rig.command if not isinstance(c, CommandDelay))
     rig = eqx.tree_at(lambda r: r.command, rig, rest, is_leaf=_is_tuple)
-    h = jnp.concatenate([w.before_h, w.h[:, :-1]], axis=1)
-    u = jnp.concatenate([w.before, w.u[:, :-1]], axis=1)
-    pre, ticks = w.before.shape[1], h.shape[1]
-    near = pre - min(NEAR, pre)
-    edges = np.r_[near % EACH : near : EACH, near : ticks + 1]
+    slow = any(isinstance(c, SpoolLimit) for c in rig.command)
+    steps = SLOW_STEPS if slow else STEPS
+    pre = min(w.before.shape[1], steps[-1][0])
+    h = jnp.concatenate([w.before_h[:, -pre:], w.h[:, :-1]], axis=1)
+    u = jnp.concatenate([w.before[:, -pre:], w.u[:, :-1]], axis=1)
+    ticks = h.shape[1]
+    edges, near = _edges(pre, ticks, steps), pre - min(steps[0][0], pre)
     t, area = (jnp.pad(jnp.cumsum(a, axis=1), ((0, 0), (1, 0))) for a in (h, u * h))
     step = jnp.diff(t[:, edges], axis=1)
     if late:
@@ -172,6 +179,19 @@ def _commands(
     goal, step = jnp.moveaxis(goal, 1, 0), step.T
     ahead = len(edges) - 1 - (ticks - pre)
     return rig, (goal[:ahead], step[:ahead]), goal[ahead:]
+
+
+def _edges(
+    pre: int, ticks: int, steps: tuple[tuple[int, int], ...]
+) -> Int[np.ndarray, "edges"]:
+    """Ticks at which such steps begin, and the last one's end."""
+    near = 0
+    edges: list[np.ndarray] = [np.arange(pre, ticks + 1)]
+    for reach, size in steps:
+        back = np.arange(near, min(reach, pre) + 1, size)
+        edges.insert(0, pre - back[:0:-1])
+        near = back[-1]
+    return np.concatenate(edges)
 
 
 def _is_tuple(x: object) -> bool:
@@ -224,6 +244,17 @@ def openings(rig: Rig, w: Windows) -> tuple[Float[Array, "ticks windows"], ...]:
     return jax.lax.scan(lambda memory, at: _through(rig, memory, *at), memory, held)[1]
 
 
+def before_filters(rig: Rig, w: Windows) -> Windows:
+    """The windows with P_a1, P_a2 and P_s as they stood ahead of what filtered them,
+    and without `dP`, which says no more then.
+    """
+    logged = jnp.stack([w.P_a1, w.P_a2, w.P_s], axis=-1)
+    for channel in rig.sensor_P:
+        logged = channel.ahead(logged, w.dP[..., 0], w.dP[..., 1])
+    P_a1, P_a2, P_s = jnp.moveaxis(logged, -1, 0)
+    return w._replace(P_a1=P_a1, P_a2=P_a2, P_s=P_s, dP=jnp.zeros_like(w.dP))
+
+
 def pressures(
     rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
 ) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
@@ -250,7 +281,7 @@ def pressures_behind(
     inputs = StepInput(
         h=w.h[:, :-1],
         u=w.u[:, :-1],
-        P_s=ends(w.P_s),
+        P_s=ends(before_filters(rig, w).P_s),
         P_r=ends(w.P_r),
         x=w.x_fine,
         dx=w.x_fine[..., :0],
@@ -289,16 +320,19 @@ def line_start(
     P_1, P_2 = (
         jnp.concatenate([before.T, own[:, :1].T])
         for before, own in zip(
-            jnp.moveaxis(w.P_before, 2, 0), (w.P_a1, w.P_a2), strict=True
+            jnp.moveaxis(w.P_before[:, -SETTLED:], 2, 0),
+            (w.P_a1, w.P_a2),
+            strict=True,
         )
     )
-    line, h = rig.line_init(P_1[0], P_2[0]), w.before_h.T
+    line, h = rig.line_init(P_1[0], P_2[0]), w.before_h[:, -SETTLED:].T
     if line is None:
         return None
 
     def settle(line, tick):
         return rig.line_step(line, *tick), None
 
+    w = before_filters(rig, w)
     near = len(opened[0]) - w.x_fine.shape[1]
     far = len(h) - near
     line = jax.lax.scan(settle, line, (P_1[:far], P_2[:far], h[:far]))[0]
@@ -319,12 +353,20 @@ def line_start(
 
 
 def _sense(
-    channels: tuple, y: Float[Array, "windows n"], h: Float[Array, "windows n"]
+    channels: tuple,
+    y: Float[Array, "windows n"],
+    h: Float[Array, "windows n"],
+    read: tuple[Float[Array, "windows"], Float[Array, "windows"]] | None = None,
 ) -> Float[Array, "windows n"]:
-    """A sensor's reading of `y` [W, n] along its second axis."""
+    """A sensor's reading of `y` [W, n] along its second axis.
+
+    `read` is the first tick's where it is known, and its slope: what the last channel
+    has kept of what came before stands in them.
+    """
     slope = (y[:, 1] - y[:, 0]) / h[:, 0]
-    for channel in channels:
-        y, slope = channel.run(y, slope, h[:, :-1])
+    for i, channel in enumerate(channels, 1):
+        known = read if i == len(channels) else None
+        y, slope = channel.run(y, slope, h[:, :-1], known)
     return y
 
 
@@ -357,8 +399,8 @@ def sensed(
     """What the sensors read of signals [W, lead+T], [W, T, 3]; linear in them."""
     lead = w.x.shape[1] - w.scored
     y = [
-        _sense(rig.gauge(0), P_a1, w.h),
-        _sense(rig.gauge(1), P_a2, w.h),
+        _sense(rig.gauge(0), P_a1, w.h, (w.P_a1[:, 0], w.dP[:, 0, 0, 0])),
+        _sense(rig.gauge(1), P_a2, w.h, (w.P_a2[:, 0], w.dP[:, 0, 1, 0])),
         _sense(rig.sensor_F, F, w.h),
     ]
     return jnp.stack([c[:, lead:] for c in y], axis=-1)

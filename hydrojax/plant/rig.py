@@ -272,7 +272,8 @@ class Rig(eqx.Module):
 
     def gauge(self, i: int) -> tuple:
         """The channels on the pressure sensor of chamber 1 (`i` = 0) or 2."""
-        return tuple(c.of_chamber(i) for c in self.sensor_P)
+        own = sorted(self.sensor_P, key=lambda c: c.of_the_logger)
+        return tuple(c.of_chamber(i) for c in own)
 
     def sense_init(
         self, channels: tuple, y: Float[Array, "*batch"], slope: Float[Array, "*batch"]

@@ -113,7 +113,8 @@ def fit_pressures(
     """Fit the free parameters that the pressures see, on the pressures alone."""
     noise = only(np.asarray(problem.batch.noise), PRESSURES)
     gauges = gauge_names(problem.model.rig)
-    names = (*problem.side(free, True), *(n for n in free if n in gauges))
+    own = problem.side(free, True)
+    names = (*own, *(n for n in free if n in gauges and n not in own))
     settled = problem.criteria.pressures_settled * np.min(noise)
     for _ in range(problem.criteria.weight_rounds):
         values, out = problem.solve(values, names, noise)

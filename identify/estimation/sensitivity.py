@@ -231,13 +231,14 @@ def sensitivities(
         d_F = d_F + _through_memory(here, w, pressure.P, recalled)
 
     def read(d, P_1, P_2, F):
-        return sensed(moved(d), w, P_1, P_2, F)
+        # What filters the supply's reading too moves pressures and readings both.
+        at = values[:n] + directions.hydraulic @ d[:k_1]
+        return sensed(put(moved(d[k_1:]), names[:n], at), w, P_1, P_2, F)
 
-    at = (zero, P_1, P_2, F)
-    aside = jnp.zeros((k_1 + NUISANCE, k_2))
-    sensor = jnp.concatenate([aside[:k_1], jnp.eye(k_2), aside[k_1:]])
+    k = k_1 + k_2
+    at = (jnp.zeros(k), P_1, P_2, F)
     return jax.vmap(lambda *along: jax.jvp(read, at, along), out_axes=(None, 0))(
-        sensor, *d_P, d_F
+        jnp.eye(k + NUISANCE, k), *d_P, d_F
     )
 
 

@@ -149,6 +149,17 @@ def _sensor_noise(
     )
 
 
+def derivatives(
+    t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"]
+) -> Float[np.ndarray, "rows 2"]:
+    """First and second derivative of a measured signal, smoothed as far as it pays."""
+    if np.ptp(y) == 0:
+        return np.zeros((t.size, 2))
+    noise, most = sensor_noise_of([(t, y)]), 0.4 / float(np.median(np.diff(t)))
+    smoothed = smooth(t, y, min(noise.cut, most) if noise else most)
+    return np.stack([smoothed(t, 1), smoothed(t, 2)], axis=1)
+
+
 def channel_noise(
     logs: Sequence[Log], spec: RigFile, driven_by: str
 ) -> Float[np.ndarray, "3"]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy import interpolate
 from scipy.signal import savgol_filter
 
-from hydrojax.identify.preparation.noise import motion_band, smooth
+from hydrojax.identify.preparation.noise import derivatives, motion_band, smooth
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.rigfile.recording import position
@@ -40,6 +40,7 @@ class Segment:
     P_s: Float[np.ndarray, "ticks"]
     P_r: Float[np.ndarray, "ticks"]
     P: Float[np.ndarray, "ticks 2"]  # as logged
+    dP: Float[np.ndarray, "ticks 3 2"]  # of P and P_s, smoothed
     F: Float[np.ndarray, "ticks"]
     smoothed: Float[np.ndarray, "ticks"]  # F for what it stretches
 
@@ -111,6 +112,7 @@ def segment(
         P_s=supply["P_s"],
         P_r=supply["P_r"],
         P=P,
+        dP=np.stack([derivatives(t, p) for p in (*P.T, supply["P_s"])], axis=1),
         F=F,
         smoothed=_smoothed(F),
     )

@@ -16,9 +16,10 @@ REACH = 0.26
 """Seconds of command ahead of a window that a replay is given, and `PRE` ticks at
 least: a slow spool remembers so long, and the longest delay is within."""
 
-SLOW_REACH, MOST_AHEAD = 3.0, 260
+SLOW_REACH, MOST_AHEAD = 10.0, 960
 """Seconds that slow logs are given instead, and ticks at most: a spool of a mobile
-machine, limited to one per second, takes two seconds from end to end."""
+machine, limited to one per second, takes two seconds from end to end, and where the
+command never rests it is late for longer."""
 
 LEAD, FEWEST_LEAD = 0.02, 4
 """Seconds at the head of a window that are run but not compared, and ticks at least."""
@@ -167,6 +168,7 @@ def cut(
             "x_fine": s.place(fine),
             "P_a1": s.P[at, 0],
             "P_a2": s.P[at, 1],
+            "dP": s.dP[at],
             "measured": np.column_stack([s.P[at], s.F[at]])[lead:],
         }
         for name, value in row.items():

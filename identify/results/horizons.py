@@ -119,25 +119,37 @@ def _run_on(
     batch: Batch,
     fresh: Bool[Array, "lengths windows"],
 ) -> Float[Array, "lengths windows ticks 3"]:
-    """What the sensors read where a window begins with its own initial pressures only
-    if it is `fresh`, and else where the one before it ended.
+    """What the sensors read where a window begins with its own initial pressures, and
+    readings, only if it is `fresh`, and else where the one before it ended.
     """
     rig, w = put(model.rig, model.names, values), batch.windows
     past = friction_memory(rig, batch.motion).within(w)
-    following = w.scored
+    end = w.scored
+    shown = end - (w.x.shape[1] - w.scored)  # among the readings, which have no lead
 
     def one(own: Bool[Array, "windows"]) -> Float[Array, "windows ticks 3"]:
-        def through(P, window):
-            inputs, P_0, begins = window
-            alone = jax.tree.map(lambda a: a[None], inputs)
-            start = jnp.where(begins, P_0, P)
-            P_a1, P_a2 = pressures(rig, alone, start[None])
-            ended = jnp.stack([P_a1[0, following], P_a2[0, following]])
-            return ended, (P_a1[0], P_a2[0])
+        def through(ended, window):
+            inputs, before, *measured, begins = window
+            P, read, slope = jax.tree.map(
+                lambda a, b: jnp.where(begins, a, b), tuple(measured), ended
+            )
+            alone, before = jax.tree.map(lambda a: a[None], (inputs, before))
+            P_a1, P_a2 = pressures(rig, alone, P[None])
+            alone = alone._replace(
+                P_a1=alone.P_a1.at[0, 0].set(read[0]),
+                P_a2=alone.P_a2.at[0, 0].set(read[1]),
+                dP=alone.dP.at[0, 0, :2, 0].set(slope),
+            )
+            y = readings(rig, alone, P_a1, P_a2, before)[0]
+            slope = (y[shown + 1, :2] - y[shown - 1, :2]) / (2 * alone.h[0, end])
+            P = jnp.stack([P_a1[0, end], P_a2[0, end]])
+            return (P, y[shown, :2], slope), y
 
-        P_0 = jnp.asarray(batch.P_0)
-        _, (P_a1, P_a2) = jax.lax.scan(through, P_0[0], (w, P_0, own))
-        return readings(rig, w, P_a1, P_a2, past)
+        start = jnp.asarray(batch.P_0)
+        read = jnp.stack([w.P_a1[:, 0], w.P_a2[:, 0]], axis=1)
+        measured = (start, read, w.dP[:, 0, :2, 0])
+        first = jax.tree.map(lambda a: a[0], measured)
+        return jax.lax.scan(through, first, (w, past, *measured, own))[1]
 
     return jax.vmap(one)(fresh)
 

@@ -110,6 +110,9 @@ ONE_CHAMBER = {
     "counterbalance.k_2": (1, 2),
 }
 
+LOGGER = {"signal_filter.tau": ALL}
+"""Strengths of what filters the logged supply too, by which the pressures go."""
+
 
 @pytest.fixture(scope="module")
 def log(drive):
@@ -167,7 +170,7 @@ def test_dormant_effect_is_alive(rig, without, replays, name, field):
 
     want = 2 * difference(5e-4) - difference(1e-3)  # free of the first-order error
     reach = REACH[EFFECTS[name].place]
-    reach = (ONE_SENSOR | ONE_CHAMBER).get(strength, reach)
+    reach = (ONE_SENSOR | ONE_CHAMBER | LOGGER).get(strength, reach)
     for channel in ALL:
         if channel in reach:
             size = np.linalg.norm(want[..., channel])
@@ -699,8 +702,8 @@ def test_driven_by_logged_pressures_only_friction_has_derivatives(full, batch):
     directions = basis(model, model.names, slots)
     run = jax.jit(lambda values, b: moved(model, values, directions, b, False))
     dy = np.asarray(run(model.values, batch)[1])
-    # What stretches moves the piston, and friction with it.
-    moves = tuple(f"{effect.name}." for effect in full.stretch)
+    # What stretches moves the piston, and friction with it; a logger's filter reads.
+    moves = tuple(f"{e.name}." for e in (*full.stretch, EFFECTS["signal_filter"]()))
     for i, name in enumerate(model.names):
         seen = i >= model.hydraulic or name.startswith(moves)
         assert np.any(dy[i]) == seen, name

@@ -9,10 +9,12 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root_scalar
 
 from hydrojax.effects import EFFECTS
+from hydrojax.identify.preparation.windows import MOST_AHEAD
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant import stretch
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.replay import (
+    before_filters,
     friction_memory,
     line_start,
     openings,
@@ -70,6 +72,16 @@ def by_steps(rig, log):
     def sensors(channels, y):
         return rig.sense_init(channels, y[:, 0], (y[:, 1] - y[:, 0]) / w.h[:, 0])[0]
 
+    def gauge(i):
+        """What the last channel remembers is known from the reading."""
+        y, channels = true[..., i], rig.gauge(i)
+        if not channels:
+            return ()
+        first, slope = y[:, 0], (y[:, 1] - y[:, 0]) / w.h[:, 0]
+        memories, first = rig.sense_init(channels[:-1], first, slope)
+        read = ((w.P_a1, w.P_a2)[i][:, 0], w.dP[:, 0, i, 0])
+        return (*memories, channels[-1].resume(first, slope, read)[0])
+
     memory, _ = jax.lax.scan(
         lambda m, tick: rig.command_step(m, *tick),
         rig.command_init(w.before[:, 0]),
@@ -80,12 +92,13 @@ def by_steps(rig, log):
         P=(P_0[:, 0], P_0[:, 1]),
         z=past.z[w.seg, w.first],
         speed=past.speed[w.seg, w.first],
-        sensor_P=tuple(sensors(rig.gauge(i), true[..., i]) for i in range(2)),
+        sensor_P=tuple(gauge(i) for i in range(2)),
         sensor_F=sensors(rig.sensor_F, true[..., 2]),
         lacking=(0 * P_0[:, 0], 0 * P_0[:, 1]),
         line=line_start(rig, w, openings(rig, w)),
     )
     index = w.seg[:, None], w.first[:, None] + jnp.arange(1, ticks)
+    w = before_filters(rig, w)
     along = StepInput(
         h=w.h[:, :-1],
         u=w.u[:, :-1],
@@ -307,3 +320,52 @@ def test_lanes_are_a_loop(rig, drive):
     for lane, got in zip(lanes, together, strict=True):
         assert np.allclose(got, one(lane), rtol=1e-11, atol=1e-9)
     assert np.max(np.abs(together[0] - together[1])) > 1.0
+
+
+# -- the command long ahead of a window --
+
+
+def slewed(u, h, omega, zeta, r_v, fine=40):
+    """A rate-limited spool's place at the end of every tick, by small steps.
+
+    Its rate stays at the limit while more is asked for, and leaves it at once.
+    """
+    y, rate, dt, out = u[0], 0.0, h / fine, []
+    for goal in u:
+        for _ in range(fine):
+            rate += dt * omega * (omega * (goal - y) - 2 * zeta * rate)
+            rate = min(max(rate, -r_v), r_v)
+            y += dt * rate
+        out.append(y)
+    return np.array(out)
+
+
+def operated(n, h):
+    """A lever that never rests: sums of sines, driven from end to end."""
+    t = h * np.arange(n)
+    waves = [np.sin(2 * np.pi * f * t + p) for f, p in ((0.13, 0), (0.4, 1), (1.1, 2))]
+    return np.clip(1.2 * waves[0] + 0.6 * waves[1] + 0.5 * waves[2], -0.9, 0.9)
+
+
+@pytest.mark.parametrize(("r_v", "most"), [(1.0, 5e-3), (2.0, 2e-3), (5.0, 2e-3)])
+def test_windows_see_what_a_slow_spool_remembers(rig, drive, r_v, most):
+    h, omega, zeta, T = 0.01, 40.0, 0.8, 40
+    u = operated(6000, h)
+    place = slewed(u, h, omega, zeta, r_v)
+    slow = add(rig, [EFFECTS["valve_lag"](), EFFECTS["valve_rate_limit"]()])
+    slow = put(
+        slow,
+        ["valve_lag.tau", "valve_lag.zeta", "valve_rate_limit.slew"],
+        [1 / omega, zeta, 1 / r_v],
+    )
+    first = np.arange(MOST_AHEAD, 5900, 47)[:, None]
+    before = first + np.arange(-MOST_AHEAD, 0)
+    here = first + np.arange(T + 1)
+    w = drive().windows._replace(
+        before=u[before], before_h=np.full(before.shape, h),
+        u=u[here], h=np.full(here.shape, h),
+    )  # fmt: skip
+    up, down = openings(slow, w)
+    got = np.asarray(up - down).T
+    ends = place[first + np.arange(-1, T)]
+    assert np.max(np.abs(got - (ends[:, 1:] + ends[:, :-1]) / 2)) < most
