@@ -98,8 +98,10 @@ class PressureSensorLag(_Lag):
 
 
 class SignalFilter(SensorChannel):
-    """Second-order low-pass of the logged pressures, the supply's too: the logger's,
-    not the rig's.
+    """Second-order low-pass of every logged pressure: the logger's, not the rig's.
+
+    P_s is one of them: what stood ahead of the filter is had from the reading's own
+    first two derivatives. A supply that is logged unfiltered is distorted by that.
 
     Exact for a signal that is linear over each tick. Stored as `tau = 1/omega` so that
     absent is 0. `zeta` is taken up to 1, as of `valve_lag`.

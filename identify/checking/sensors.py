@@ -22,6 +22,8 @@ STUCK = 0.1
 """Seconds of one and the same reading from which a noisy sensor is stuck."""
 REST = 3.0
 """Steps of a sensor up to which its next reading may be the same signal at rest."""
+JUMP = 3.0
+"""Times the next step on, from which a step out of a run of one reading is a jump."""
 DEAD = 0.99
 """Share of readings equal to the one before from which a sensor is dead."""
 CLIPPED = 1e-3
@@ -138,10 +140,13 @@ def _runs(y: Float[np.ndarray, "rows"]) -> np.ndarray:
 
 
 def _longest_hold(y: Float[np.ndarray, "rows"], runs: np.ndarray, step: float) -> int:
-    """Ticks of the longest run of one reading that begins or ends with a jump."""
-    ends = np.cumsum(runs)
-    jumps = np.abs(np.diff(y))[ends[:-1] - 1] > step
-    around = np.concatenate([[False], jumps]) | np.concatenate([jumps, [False]])
+    """Ticks of the longest run of one reading that begins or ends with a jump: a step
+    that what moves beyond it does not explain.
+    """
+    size, ends = np.abs(np.pad(np.diff(y), 1)), np.cumsum(runs)[:-1]
+    after = (size[ends] > step) & (size[ends] > JUMP * size[ends + 1])
+    into = (size[ends] > step) & (size[ends] > JUMP * size[ends - 1])
+    around = np.concatenate([[False], into]) | np.concatenate([after, [False]])
     return int(np.max(runs[around], initial=1))
 
 

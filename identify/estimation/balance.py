@@ -137,7 +137,7 @@ def descend(
 def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
     """The balances at some values, along those of `free` that act on the pressures."""
     free = problem.side(free, True)
-    slots = (problem.most_slots[0], 0)
+    slots = (problem.most_slots(free)[0], 0)
     model, at = problem.model.acting(values, free)
     gram = _run(
         model,

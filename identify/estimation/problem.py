@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 
 import jax
 import jax.numpy as jnp
@@ -35,10 +36,9 @@ from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.plant.places import gauge_names
 from hydrojax.plant.rig import Rig
 
-SPARE = ((0, 0), (2, 3), (4, 9), (8, 20), (16, 40))
+SPARE = ((2, 3), (4, 9), (8, 20), (16, 40))
 """Columns kept free for effects that a trace adds (hydraulic, other): the first that
 holds them is taken, so that few programs serve every fit."""
-
 
 KEPT = 4
 """Values for which a problem keeps the residuals."""
@@ -95,19 +95,22 @@ class Problem:
 
     def slots(self, free: Sequence[str]) -> tuple[int, int]:
         """Columns, hydraulic and other, of the program that fits these parameters."""
+        return self._holding(free, SPARE)
+
+    def most_slots(self, free: Sequence[str]) -> tuple[int, int]:
+        """Those of the one program that fits nearly all that may be free together."""
+        return self._holding(free, SPARE[-1:])
+
+    def _holding(
+        self, free: Sequence[str], usual: Iterable[tuple[int, int]]
+    ) -> tuple[int, int]:
+        """The first of the usual columns, or of their doubles, that hold `free`."""
         need = (len(self.side(free, True)), len(self.side(free, False)))
-        sizes = self._sizes()
-        return next(s for s in sizes if need[0] <= s[0] and need[1] <= s[1])
-
-    @property
-    def most_slots(self) -> tuple[int, int]:
-        """Those of the one program that fits whatever may be free together."""
-        return self._sizes()[-1]
-
-    def _sizes(self) -> list[tuple[int, int]]:
-        tracing = len(self.free) > sum(self.declared)
-        spare = SPARE[1:] if tracing else SPARE[:1]
-        return [(self.declared[0] + a, self.declared[1] + b) for a, b in spare]
+        if len(self.free) == sum(self.declared):
+            return self.declared
+        larger = ((SPARE[-1][0] << i, SPARE[-1][1] << i) for i in count(1))
+        sizes = (np.add(self.declared, spare) for spare in chain(usual, larger))
+        return next((int(a), int(b)) for a, b in sizes if need[0] <= a and need[1] <= b)
 
     def solve(
         self,

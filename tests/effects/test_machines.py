@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import TransferFunction, lsim
 
 from hydrojax.effects import EFFECTS as KNOWN
+from hydrojax.identify.preparation.noise import derivatives
 from hydrojax.parameters import put
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.hydraulics import follow_drops, pressure_step
@@ -247,3 +248,48 @@ def test_a_signal_filter_begins_as_after_a_long_ramp():
     begun = (y[0] - 2 * zeta / omega * slope, slope)
     out = solve_ivp(rates, (0, t[-1]), begun, t_eval=t, rtol=1e-10, max_step=h)
     assert np.allclose(np.asarray(got)[0], out.y[0], rtol=0, atol=5.0)
+
+
+def logged_pressures(omega, zeta, noise):
+    """A supply that follows its load, and its filtered reading, at 100 Hz."""
+    h, rng = 1e-2, np.random.default_rng(5)
+    t = h * np.arange(3000)
+    load = np.repeat(rng.uniform(3e6, 12e6, 60), 50)
+    pump = TransferFunction([1], [0.05**2, 0.1, 1])
+    true = lsim(pump, load - load[0], t)[1] + load[0]
+    logger = TransferFunction([omega**2], [1, 2 * zeta * omega, omega**2])
+    read = lsim(logger, true - true[0], t)[1] + true[0]
+    return t, true, read + noise * rng.normal(size=t.size)
+
+
+@pytest.mark.parametrize(("omega", "zeta"), [(15.0, 0.9), (40.0, 0.7), (100.0, 0.6)])
+def test_what_a_signal_filter_took_is_had_back(omega, zeta):
+    """From a log with noise: all but a tenth of what lies between reading and truth."""
+    t, true, read = logged_pressures(omega, zeta, noise=5e3)
+    slope, bend = derivatives(t, read).T
+    got = EFFECTS["signal_filter"](tau=1 / omega, zeta=zeta).ahead(read, slope, bend)
+
+    def rms(y):
+        return np.sqrt(np.mean((y - true)[100:-100] ** 2))
+
+    assert rms(np.asarray(got)) < 0.1 * rms(read)
+
+
+@pytest.mark.parametrize(("omega", "zeta"), [(15.0, 0.9), (40.0, 0.7), (100.0, 0.6)])
+def test_a_signal_filter_goes_on_from_its_reading(omega, zeta):
+    """Begun at any tick of a filtered signal it reads what the log does."""
+    t, true, read = logged_pressures(omega, zeta, noise=0.0)
+    slope = derivatives(t, read)[:, 0]
+    channel = EFFECTS["signal_filter"](tau=1 / omega, zeta=zeta)
+    first = np.arange(200, 2900, 31)
+    at = first[:, None] + np.arange(30)
+    h = jnp.full((len(first), 29), 1e-2)
+    known = (jnp.asarray(read[first]), jnp.asarray(slope[first]))
+    y, line = jnp.asarray(true[at]), jnp.asarray(np.diff(true[at][:, :2])[:, 0] / 1e-2)
+
+    def rms(got):
+        return np.sqrt(np.mean((np.asarray(got) - read[at]) ** 2))
+
+    assert rms(channel.run(y, line, h, known)[0]) < 0.1 * rms(
+        channel.run(y, line, h)[0]
+    )

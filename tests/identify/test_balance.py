@@ -7,6 +7,7 @@ The logs are those of machines recorded by a plant that shares no code with this
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -15,7 +16,12 @@ import pytest
 
 from hydrojax.identify.api import applicable
 from hydrojax.identify.case import Case, Preparation
-from hydrojax.identify.estimation.balance import balance_at, balanced, descend
+from hydrojax.identify.estimation.balance import (
+    balance_at,
+    balanced,
+    descend,
+    in_brief,
+)
 from hydrojax.identify.estimation.columns import basis, filled
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.known import free_effect, free_parameters
@@ -178,6 +184,20 @@ def test_lines_in_which_nothing_stands_are_left_out(machine):
     held = np.array(values)
     held[model.names.index("counterbalance.k_2")] = 1e11
     assert model.acting(held)[0].names == model.names
+
+
+def test_as_many_effects_as_there_are_find_room(machine):
+    """A trace that adds effect upon effect never runs out of columns."""
+    state = machine[1]
+    problem = replace(state.problem, declared=(0, 0))
+    hydraulic = problem.side(problem.free, True)
+    assert len(hydraulic) > problem.most_slots(())[0]
+    for free in (hydraulic, list(problem.free)):
+        room = problem.slots(free)
+        assert room[0] >= len(hydraulic)
+        assert room[1] >= len(free) - len(hydraulic)
+    at = balance_at(in_brief(problem), state.point.values, hydraulic)
+    assert np.all(np.isfinite(at.gram))
 
 
 @pytest.mark.slow

@@ -95,6 +95,8 @@ def test_a_coarse_sensor_at_rest_is_not_stuck(honest):
     coarse = 5e6 + 2e3 * np.cumsum(steps)
     stuck = coarse.copy()
     stuck[300:600] = stuck[300]
+    coarse[1000:2000] = coarse[1000]
+    coarse[2000:2020] += 3.5e3 * np.arange(1, 21) ** 2  # off from rest, ever faster
     rest = coarse[np.arange(len(other.time)) % 900]
     for P, held in ((coarse, 0.001), (stuck, 0.3)):
         logs = [
