@@ -75,8 +75,8 @@ class SensorNoise:
 
     Attributes:
         sigma: its standard deviation, as far as it is white.
-        step: between the values that the sensor gives, where that makes the noise; 0
-            where it does not.
+        step: between the values that the sensor gives, where that makes half of the
+            noise or more; 0 where it does not.
         cut: Hz at which a smoothing spline errs least; inf if smoothing does not pay.
     """
 
@@ -95,10 +95,12 @@ class SensorNoise:
     ) -> Float[np.ndarray, "rows"]:
         """The signal measured once more by such a sensor."""
         draw = np.random.default_rng(seed)
-        if self.step:
-            offset = draw.uniform()
-            return (np.round(y / self.step + offset) - offset) * self.step
-        return y + self.sigma * draw.normal(size=y.size)
+        rounding = self.step**2 / 12
+        y = y + np.sqrt(max(self.sigma**2 - rounding, 0.0)) * draw.normal(size=y.size)
+        if not self.step:
+            return y
+        offset = draw.uniform()
+        return (np.round(y / self.step + offset) - offset) * self.step
 
 
 def sensor_noise_of(

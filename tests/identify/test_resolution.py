@@ -65,6 +65,18 @@ def test_steps_of_a_position_are_seen():
     assert found.sigma == pytest.approx(step / math.sqrt(12), rel=0.2)
 
 
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.6, 2.0])
+def test_a_sensor_that_rounds_its_own_noise_is_measured_again_alike(share):
+    """`share` is the noise ahead of the rounding, in steps: the reading's error has the
+    size of the first one's whether noise or rounding makes it.
+    """
+    step = 5e-6
+    noise = share * step * np.random.default_rng(4).normal(size=TIME.size)
+    read = step * np.round((MOTION + noise) / step)
+    again = sensor_noise(read).again(MOTION, seed=5)
+    assert np.std(again - MOTION) == pytest.approx(np.std(read - MOTION), rel=0.15)
+
+
 def test_motion_without_a_floor_has_no_noise():
     """What falls all the way to the end of the spectrum."""
     rough = np.cumsum(np.random.default_rng(2).normal(size=TIME.size)) * 1e-6
