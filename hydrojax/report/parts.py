@@ -188,6 +188,15 @@ class EffectRecord(Part):
     formula: str | None = Field(None, description="what stands for that curve")
 
 
+class StretchRecord(Part):
+    """A stretch of a log in which much of a residual lies."""
+
+    log: str = Field(description="the log")
+    start: float = Field(description="s")
+    end: float = Field(description="s")
+    share: float = Field(description="of the excess in squares")
+
+
 class RestRecord(Part):
     """What stays above the noise of a channel."""
 
@@ -198,6 +207,9 @@ class RestRecord(Part):
         "", description="signal that it correlates with most, if any does"
     )
     says: str = Field("", description="the same in words")
+    where: list[StretchRecord] = Field(
+        [], description="the windows that hold over half of it, where a few do"
+    )
 
 
 class LoopRecord(Part):

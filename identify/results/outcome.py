@@ -138,11 +138,24 @@ class Dependence:
 
 
 @dataclass(frozen=True)
+class Stretch:
+    """A stretch of a log, s since the log's time 0, and the share of a residual's
+    excess in squares that lies in it.
+    """
+
+    log: str
+    start: float
+    end: float
+    share: float
+
+
+@dataclass(frozen=True)
 class Unexplained:
     """What stays above the noise: channel, size (SI), what it follows, in words.
 
     `tests` are of every signal, the clearest first; `line` the frequency (Hz) at which
-    it stands out, or None; `next` what to record to learn more.
+    it stands out, or None; `next` what to record to learn more; `where` the windows
+    that hold over half of it, the largest first, if a few do.
     """
 
     channel: str
@@ -153,6 +166,7 @@ class Unexplained:
     tests: tuple[Dependence, ...] = ()
     line: float | None = None
     next: str = ""
+    where: tuple[Stretch, ...] = ()
 
 
 @dataclass(frozen=True)

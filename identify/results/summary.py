@@ -147,7 +147,14 @@ def _left(
     """What stays above the noise of the validation logs: residuals `after` [W, T, 3],
     whose RMS is `errors` [3].
     """
-    tick = float(np.median(case.check.windows.h))
+    windows = case.check.windows
+    tick = float(np.median(windows.h))
+    t = np.asarray(windows.t)[:, -after.shape[1] :]
+    names = [log.name for log in case.check_logs]
+    places = [
+        (names[i], float(own[0]), float(own[-1]))
+        for i, own in zip(case.check.log, t, strict=True)
+    ]
     return tuple(
         unexplained(
             CHANNELS[c],
@@ -157,6 +164,7 @@ def _left(
             signals,
             tick,
             state.criteria,
+            places,
         )
         for c in seen
         if errors[c] > state.criteria.at_noise * state.noise[c]

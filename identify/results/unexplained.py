@@ -11,7 +11,7 @@ from scipy import signal, stats
 
 from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.inference.uncertainty import curvature
-from hydrojax.identify.results.outcome import Dependence, Unexplained
+from hydrojax.identify.results.outcome import Dependence, Stretch, Unexplained
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
 
@@ -24,6 +24,7 @@ def unexplained(
     signals: Mapping[str, Float[np.ndarray, "windows ticks"]],
     tick: float,
     criteria: Criteria = Criteria(),
+    places: Sequence[tuple[str, float, float]] = (),
 ) -> Unexplained:
     """Describe the residual of a channel that stays above its noise.
 
@@ -38,6 +39,7 @@ def unexplained(
         signals: with which it may correlate, by name.
         tick: step of the log, s.
         criteria: from which share on a correlation is stated.
+        places: log, start and end (s) of each window; without, no place is said.
     """
     excess = float(np.sqrt(max(np.mean(residual**2) - noise**2, 0.0)))
     size = f"{channel} stays {_size(excess, unit)} RMS above its noise"
@@ -69,10 +71,41 @@ def unexplained(
             else f"{size}; it correlates with none of the log's signals and has no "
             "spectral line"
         )
+    where = _in_few(residual, noise, places, criteria)
     return Unexplained(
-        channel, excess, unit, follows, description, tests,
-        line if stands_out else None, advice(channel, follows),
+        channel, excess, unit, follows, description + _said_of(where, len(residual)),
+        tests, line if stands_out else None, advice(channel, follows), where,
     )  # fmt: skip
+
+
+def _in_few(
+    residual: np.ndarray,
+    noise: float,
+    places: Sequence[tuple[str, float, float]],
+    criteria: Criteria,
+) -> tuple[Stretch, ...]:
+    """The fewest windows that hold over half of the excess; none if that is many."""
+    own = np.sum(residual**2 - noise**2, axis=1)
+    order = np.argsort(-own)
+    held = np.cumsum(own[order]) > 0.5 * own.sum()
+    count = int(np.argmax(held)) + 1
+    if not places or not held.any() or count > max(criteria.few_windows * len(own), 1):
+        return ()
+    share = own / own.sum()
+    return tuple(Stretch(*places[i], float(share[i])) for i in map(int, order[:count]))
+
+
+def _said_of(where: Sequence[Stretch], windows: int) -> str:
+    if not where:
+        return ""
+    share = 100 * sum(w.share for w in where)
+    times: dict[str, list[str]] = {}
+    for w in where[:3]:
+        times.setdefault(w.log, []).append(f"{w.start:.2f}")
+    first = ", ".join(f"{log} from {', '.join(t)} s" for log, t in times.items())
+    count = "one" if len(where) == 1 else str(len(where))
+    more = " and others" if len(where) > 3 else ""
+    return f"; {share:.0f} % of it lies in {count} of {windows} windows ({first}{more})"
 
 
 def _share(d: Dependence) -> float:

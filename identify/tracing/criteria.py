@@ -216,6 +216,9 @@ class Criteria:
     line: float = 12.0
     """Height of a spectral line over the spectrum around it to be named, 1; it must
     stand out at `level` too. `benchmarks.trace`."""
+    few_windows: float = 0.02
+    """Share of the windows in which over half of an excess lies, from which down they
+    are said, 1: a fiftieth of noise alone never holds as much. Tests."""
     needed: float = 0.1
     """Share of the fall of the validation error that a parameter's change must give
     back for the verdict to wait on that parameter, 1. `benchmarks.trace`."""

@@ -491,6 +491,31 @@ def test_what_a_residual_follows_is_named(signals, name, law):
     assert shares[name] > 1.3 * max(s for n, s in shares.items() if n != name)
 
 
+def test_a_residual_that_lies_in_few_windows_is_placed(signals):
+    """Two bursts in noise; the larger holds three quarters of what stands above it."""
+    residual = white(0) / np.sqrt(np.mean(white(0) ** 2))
+    for i, size in ((30, 3.0), (7, np.sqrt(3.0))):
+        residual[i] += size * np.sin(np.arange(250) / 3)
+    places = [("a.csv" if i < 20 else "b.csv", 0.25 * i, 0.25 * i + 0.249)
+              for i in range(46)]  # fmt: skip
+    left = unexplained("F", "N", 1.0, residual, signals, 1e-3, places=places)
+    (burst,) = left.where
+    assert (burst.log, burst.start) == ("b.csv", 7.5)
+    assert burst.share == pytest.approx(0.75, abs=0.08)
+    assert "in one of 46 windows (b.csv from 7.50 s)" in left.description
+    assert not unexplained("F", "N", 1.0, residual, signals, 1e-3).where
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_residual_of_noise_alone_lies_nowhere(signals, seed):
+    """Of 200 windows, and as little above the noise as is said at all."""
+    noise = np.random.default_rng(seed).normal(size=(200, 25))
+    places = [("a.csv", 0.25 * i, 0.25 * i + 0.24) for i in range(200)]
+    level = np.sqrt(np.mean(noise**2)) / 1.05
+    left = unexplained("F", "N", level, noise, {}, 1e-2, places=places)
+    assert left.where == () and "windows" not in left.description
+
+
 def test_every_signal_has_its_test(signals):
     made = np.sign(signals["v"])
     left = unexplained("F", "N", 1.0, 2 * made + white(0), signals, 1e-3)
