@@ -30,8 +30,10 @@ from hydrojax.identify.estimation.starts import best_start
 from hydrojax.identify.inference.profile import profiles
 from hydrojax.identify.inference.tolerance import with_tolerances
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
+from hydrojax.identify.motion.predict import predict_motion
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
+from hydrojax.identify.results.sentence import motion_sentence
 from hydrojax.identify.results.summary import summarise, with_inputs
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing
@@ -320,15 +322,20 @@ def _outcome(command, case, state, base, began, compiled, progress, profile) -> 
         uncertainty = replace(uncertainty, profiles=found)
     outcome = summarise(command, case, state, base, uncertainty)
     outcome = replace(outcome, limits=(*said, *outcome.limits))
+    free = {n: state.problem.free[n] for n in state.free}
+    declared = dict(zip(state.problem.model.names, base.values, strict=True))
+    if command == "identify":
+        start = state.check.initial_values()
+        declared = dict(zip(state.check.model.names, start, strict=True))
+    added = [a.name for a in state.added]
+    motion = predict_motion(case, declared, state.named, free, added, progress)
     progress("the closed loop again")
     outcome = replace(
         outcome,
         loops=_loops(case, state),
-        rig_file=rewrite(
-            case.spec,
-            state.named,
-            [a.name for a in state.added],
-        ),
+        sentence=outcome.sentence + (f" {motion_sentence(motion)}" if motion else ""),
+        rig_file=rewrite(case.spec, state.named, added),
+        motion=motion,
     )
     total = time.perf_counter() - began
     seconds = {"compile": compiled.seconds, "run": total - compiled.seconds}

@@ -77,7 +77,8 @@ class Result:
 
     @cached_property
     def channels(self) -> pd.DataFrame:
-        """One row a compared channel: errors are RMS, SI.
+        """One row a compared channel, and `x` where it was predicted: errors are RMS,
+        SI.
 
         Columns: `unit`, `noise` (standard deviation), `before` (with the declared
         model), `after` (with the final one), `ratio` (`after` over `noise`), `held` (of
@@ -86,7 +87,7 @@ class Result:
         `validate_after` beside them; else of the validation logs.
         """
         rows = {}
-        for name, c in self.outcome.channels.items():
+        for name, c in self.outcome.every_channel.items():
             rows[name] = {
                 "unit": c.unit,
                 "noise": c.noise,
@@ -111,12 +112,20 @@ class Result:
         """
         rows = {
             (name, length): {**vars(h), "skill": h.skill}
-            for name, c in self.outcome.channels.items()
+            for name, c in self.outcome.every_channel.items()
             for length, h in c.horizons.items()
         }
         frame = pd.DataFrame.from_dict(rows, orient="index", dtype=float)
         frame.index = pd.MultiIndex.from_tuples(rows, names=("channel", "run"))
         return frame
+
+    @cached_property
+    def motion_rig(self) -> RigFile | None:
+        """The rig file whose values predict the motion best; None where [load] has no
+        `predicts`, or nothing has a mass.
+        """
+        motion = self.outcome.motion
+        return self.case.spec.with_text(motion.rig_file) if motion else None
 
     @cached_property
     def rig(self) -> RigFile:

@@ -120,6 +120,31 @@ class ChannelRecord(ErrorsRecord):
     )
 
 
+class MotionValueRecord(Part):
+    """A parameter that predicts the motion best; SI."""
+
+    value: float | None = Field(description="that predicts the motion best")
+    windows: float | None = Field(
+        None, description="as found from pressures and force in windows"
+    )
+    unit: Unit = Field(description="of both")
+
+
+class MotionRecord(Part):
+    """How a position was predicted; its errors are those of channel `x`."""
+
+    fitted_to: Literal["runs", "windows"] = Field(
+        description="what `values` are best for: whole logs, or pressures and force in "
+        "windows, as `parameters`, where these predict the validation logs as well"
+    )
+    windows: Size | None = Field(
+        None, description="RMS error over whole logs with `parameters`, m"
+    )
+    values: dict[Name, MotionValueRecord] = Field(
+        description="of what was free, by name"
+    )
+
+
 class CandidateRecord(Part):
     """What became of an effect that was tried."""
 

@@ -21,6 +21,7 @@ from hydrojax.report.parts import (
     LogsRecord,
     LoopRecord,
     MadeRecord,
+    MotionRecord,
     Name,
     ParameterRecord,
     Part,
@@ -66,8 +67,8 @@ class Report(Part):
         {},
         description="errors by channel, RMS of measured - replayed; `held`, `skill`: "
         "against the value held from a window's start; `horizons`: runs of 1 s, 5 s "
-        "and the whole log; `validate`: of the validation logs, where test logs were "
-        "given",
+        "and the whole log; `x`: motion that was predicted, which no verdict counts; "
+        "`validate`: of the validation logs, where test logs were given",
     )
     effects: list[EffectRecord] = Field(description="effects that were named")
     curves: list[CurveRecord] = Field(
@@ -80,6 +81,11 @@ class Report(Part):
     )
     unexplained: list[RestRecord] = Field(
         [], description="channels that stay above their noise"
+    )
+    motion: MotionRecord | None = Field(
+        None,
+        description="how the position was predicted, where [load] has `predicts`; its "
+        "errors are those of channel `x`",
     )
     closed_loop: list[LoopRecord] = Field(
         [], description="measured loops, run again in simulation"

@@ -240,6 +240,14 @@ def _sensors(keys: Values, file: RigFile) -> Sensors:
     return Sensors(**sizes, step=_array(step * (radius or 1.0)))
 
 
+def free_load(file: RigFile) -> Inertia:
+    """The load of a rig file as one that moves by itself, held to mid-stroke by its
+    spring and to the ground by its damper; without a mass where the file gives none.
+    """
+    names = ("mass", "stiffness", "damping")
+    return Inertia(**{name: _array(file.output_load.get(name, 0.0)) for name in names})
+
+
 def _load(file: RigFile) -> Driven | Inertia:
     given = {k: v for k, v in file.output_load.items() if k != "F"}
     if not given:

@@ -14,6 +14,7 @@ from hydrojax.rigfile.other_controllers import OTHERS
 from hydrojax.rigfile.sections import (
     GEOMETRY,
     LOAD,
+    PREDICTED,
     SUPPLY_UNITS,
     Sections,
     base_specs,
@@ -28,7 +29,8 @@ MEANINGS: Mapping[str, str] = {
     "geometry": "Known sizes; a tolerance may follow: 1.18e-3 m^2 +- 1 %.",
     "supply": "Pressures where the log has no such channel.",
     "sensors": "Standard deviation of the noise, where it is known.",
-    "load": "A force F known without a sensor, or the inertia of closed-loop runs.",
+    "load": "A force F known without a sensor, or the inertia of closed-loop runs and "
+    "of a motion that is predicted.",
     "channels": "Columns of the log by signal: name, unit, sign.",
     "parameters": "What is to be found: start and range; a plain quantity is held.",
     "effects": "Effects that are known: found where they have a range, held otherwise.",
@@ -48,9 +50,10 @@ KEY_MEANINGS: Mapping[str, str] = {
     "supply.P_s": "supply pressure",
     "supply.P_r": "return pressure",
     "load.F": "force on the output; 0 N says that the axis moves free",
-    "load.mass": "of the load on the output, in closed loop",
-    "load.stiffness": "of the spring to the load, in closed loop",
-    "load.damping": "of the spring to the load, in closed loop",
+    "load.mass": "of the load on the output, in closed loop or predicted motion",
+    "load.stiffness": "of the spring to the load; slack at mid-stroke where motion is "
+    "predicted",
+    "load.damping": "of the spring to the load",
 }
 """What each key of [geometry], [supply] and [load] is."""
 
@@ -74,6 +77,9 @@ def rig_schema() -> dict[str, Any]:
     for section, keys in wants.items():
         said = {k: KEY_MEANINGS.get(f"{section}.{k}", f"noise of {k}") for k in keys}
         entries = {k: quantity_schema(u, said[k]) for k, u in keys.items()}
+        if section == "load":
+            said = "what is an output of the model, and not given by the log"
+            entries["predicts"] = {"enum": list(PREDICTED), "description": said}
         sections[section] |= object_schema(entries)
     out.pop("$defs", None)
     channel = Channel.model_json_schema() | {"description": "the signal's column"}

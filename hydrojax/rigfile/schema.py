@@ -19,6 +19,7 @@ from hydrojax.rigfile.sections import (
     GEOMETRY,
     LANDS,
     LOAD,
+    PREDICTED,
     SUPPLY,
     SUPPLY_UNITS,
     ControllerValue,
@@ -47,6 +48,8 @@ class RigFile:
         output_load: the section [load]: F in N, if the load is known without a sensor;
             for closed-loop runs mass, stiffness and damping (kg, N/m, N s/m) of an
             inertia on the output.
+        predicts: "x" where the load is to move by itself, and its position is
+            predicted; "" where the log's motion is given.
         channels: where signals are in the logs, by the contract's names.
         parameters: the base model's, by name.
         effects: those declared, with the parameters given, by name.
@@ -78,6 +81,7 @@ class RigFile:
     law: AbstractController | None = None
     valve: AbstractValve | None = None
     tolerances: dict[str, float] = field(default_factory=dict)
+    predicts: str = ""
     text: str = field(default="", repr=False, compare=False)
 
     @classmethod
@@ -246,6 +250,8 @@ def read_rig(
     known = {name: unit for name, unit in SIGNALS.items() if name != "time"}
     noise_units = {n: units.with_command(u, command) for n, u in known.items()}
     geometry, own = _with_tolerances(f"{path}: [geometry]", file.geometry, GEOMETRY)
+    load = dict(file.load)
+    predicts = load.pop("predicts", "")
     supply, also = _with_tolerances(f"{path}: [supply]", file.supply, SUPPLY_UNITS)
     spec = RigFile(
         name=file.name or one_line(Path(path).stem, WORD),
@@ -253,7 +259,7 @@ def read_rig(
         geometry=geometry,
         supply=supply,
         sensors=section_values(f"{path}: [sensors]", file.sensors, noise_units),
-        output_load=section_values(f"{path}: [load]", file.load, LOAD),
+        output_load=section_values(f"{path}: [load]", load, LOAD),
         channels=file.channels,
         parameters={g.field: entry(g, command) for g in base},
         effects={
@@ -263,6 +269,7 @@ def read_rig(
         command_unit=command,
         path=path,
         tolerances=own | also,
+        predicts=predicts,
         text=text,
     )
     _check(spec)
@@ -310,6 +317,7 @@ def _check(spec: RigFile) -> None:
                     f"{'above' if key == 'mass' else 'at least'} 0, not {value:g}; "
                     "correct it"
                 )
+    _check_predicted(spec)
     ends = [spec.geometry[key] for key in ("x_from", "x_to") if key in spec.geometry]
     if len(ends) == 1 or (ends and ends[0] >= ends[1]):
         raise InputError(
@@ -320,4 +328,18 @@ def _check(spec: RigFile) -> None:
     if P_s is not None and P_s <= (P_r or 0.0):
         raise InputError(
             f"{spec.path}: [supply] P_s must be above P_r; exchange or correct them"
+        )
+
+
+def _check_predicted(spec: RigFile) -> None:
+    """Refuse a motion to predict that cannot be."""
+    if spec.predicts not in ("", *PREDICTED):
+        raise InputError(
+            f"{spec.path}: [load] predicts: invalid {units.shown(spec.predicts)}: "
+            f'expected "{PREDICTED[0]}", or delete the line'
+        )
+    if spec.predicts and spec.output_load.get("F", 0.0) != 0.0:
+        raise InputError(
+            f"{spec.path}: [load] F must be 0 N where predicts is given: a load that "
+            "moves by itself takes a constant force from k_0 or gravity_load"
         )

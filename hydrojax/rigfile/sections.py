@@ -34,7 +34,10 @@ SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
 """Supply and return pressure (Pa) where neither log nor rig file has them."""
 
 LOAD = {"F": "N", "mass": "kg", "stiffness": "N/m", "damping": "N*s/m"}
-"""What [load] may hold, and the SI unit."""
+"""What [load] may hold, and the SI unit; beside it `predicts`."""
+
+PREDICTED = ("x",)
+"""What [load] may say it predicts."""
 
 LANDS = tuple(specs(MeteringEdges))
 """The valve constants' names."""

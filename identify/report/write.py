@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from hydrojax.errors import InputError
 from hydrojax.identify.discovery.effect_file import effect_file
-from hydrojax.identify.report import curves, figures, residuals, traces
+from hydrojax.identify.report import curves, figures, motion, residuals, traces
 from hydrojax.identify.report.explorer import explorer_data
 from hydrojax.identify.report.headline import grade, headline, loop_verdict
 from hydrojax.identify.results.outcome import (
@@ -21,6 +21,7 @@ from hydrojax.identify.results.outcome import (
     skill_text,
 )
 from hydrojax.identify.results.report_json import report_json
+from hydrojax.identify.results.sentence import motion_sentence
 from hydrojax.report import markup
 from hydrojax.report.files import digest, write_all
 from hydrojax.report.page import Picture, made_by, page
@@ -32,6 +33,7 @@ PICTURES = {
     "error": figures,
     "dependence": residuals,
     "residual": residuals,
+    "motion": motion,
     "loop": residuals,
     "ranking": figures,
     "parameter": figures,
@@ -45,6 +47,7 @@ TELLING = (
     "traces",
     "error",
     "parameter",
+    "motion",
     "ranking",
     "loop",
 )
@@ -178,6 +181,7 @@ def _described(name: str, outcome: Outcome) -> tuple[str, str]:
         "error": _error_said,
         "dependence": _dependence_said,
         "residual": _residual_said,
+        "motion": motion.motion_said,
         "loop": _loop_said,
         "ranking": _ranking_said,
         "parameter": _parameter_said,
@@ -262,7 +266,7 @@ def report_page(
     """report.html, with its pictures inside; `made`: how, as in report.json."""
     help_ = (
         quantity_text, change, remarks, times_noise, standing, share, listed, words,
-        p_text, p_equation, skill_text, loop_verdict,
+        p_text, p_equation, skill_text, loop_verdict, motion_sentence,
     )  # fmt: skip
     return page(
         Path(__file__).parent / "report.html",
@@ -272,7 +276,7 @@ def report_page(
         ranking=figures.ranking(outcome),
         horizons=[
             (name, length, h, c.unit)
-            for name, c in outcome.channels.items()
+            for name, c in outcome.every_channel.items()
             for length, h in c.horizons.items()
         ],
         at_noise=outcome.criteria.at_noise,
@@ -286,7 +290,7 @@ def report_page(
 
 def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None:
     """Write report.json, report.html, the figures and rig.toml into `folder`, and
-    my_effects.py where curves were found.
+    my_effects.py where curves were found, rig_motion.toml where motion was predicted.
 
     All is made before the first file appears; a report that stands there is replaced,
     and files that are not a report's stay.
@@ -304,4 +308,6 @@ def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None
         files["my_effects.py"] = effect_file(outcome.rig, outcome.curves).encode()
     if outcome.rig_file:
         files["rig.toml"] = outcome.rig_file.encode()
+    if outcome.motion:
+        files["rig_motion.toml"] = outcome.motion.rig_file.encode()
     write_all(folder, files, obsolete=[f"report_{p}.png" for p in PICTURES])

@@ -219,6 +219,42 @@ class LoopCheck:
 
 
 @dataclass(frozen=True)
+class MotionValue:
+    """A parameter that predicts the motion best, SI; `windows` is its value as found
+    from pressures and force.
+    """
+
+    value: float
+    windows: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class PredictedMotion:
+    """The position in runs in which the drive moves the load, with nothing of the
+    log's motion but where a run begins; SI.
+
+    Attributes:
+        errors: of the position; `before` and `after` over runs of 0.25 s. Where a run
+            does not stay finite, or nothing has a mass, there is none.
+        windows: RMS error over whole logs with the parameters that were found from
+            pressures and force, m; None where that is not finite.
+        fitted_to: what `values` are best for: "runs" through whole logs, or "windows"
+            where these predict the validation logs at least as well.
+        values: the parameters that were free, by name.
+        series: measured, and measured less predicted, through whole logs.
+        rig_file: the rig file with these values.
+    """
+
+    errors: ChannelErrors
+    windows: float | None
+    fitted_to: str
+    values: dict[str, MotionValue]
+    series: tuple[Series, ...]
+    rig_file: str
+
+
+@dataclass(frozen=True)
 class LogFile:
     """One log of a run.
 
@@ -255,7 +291,8 @@ class Outcome:
     all parameters by name, SI, as stored; `criteria` the thresholds that decided;
     `inputs` what looks wrong with rig file and logs. `validate_logs` are empty where
     none were given: errors are then those of the fitted logs. `files` are the logs;
-    `curves` what was found beside the known effects, where it was asked for.
+    `curves` what was found beside the known effects, where it was asked for; `motion`
+    what a rig file predicts of it, which no verdict counts.
     """
 
     command: str
@@ -282,6 +319,12 @@ class Outcome:
     inputs: tuple[Finding, ...] = ()
     files: tuple[LogFile, ...] = ()
     curves: tuple[FoundCurve, ...] = ()
+    motion: PredictedMotion | None = None
+
+    @property
+    def every_channel(self) -> dict[str, ChannelErrors]:
+        """The channels that were compared, and the motion where it was predicted."""
+        return self.channels | ({"x": self.motion.errors} if self.motion else {})
 
     @property
     def explained_share(self) -> float:

@@ -14,6 +14,7 @@ from hydrojax.identify.results.outcome import (
     LoopCheck,
     Outcome,
     Parameter,
+    PredictedMotion,
     Unexplained,
 )
 from hydrojax.report.schema import FORMAT
@@ -35,11 +36,12 @@ def report_json(outcome: Outcome) -> dict[str, Any]:
         "sentence": o.sentence,
         "explained_share": o.explained_share,
         "parameters": {n: _parameter(p) for n, p in o.parameters.items()},
-        "channels": {n: _channel(c) for n, c in o.channels.items()},
+        "channels": {n: _channel(c) for n, c in o.every_channel.items()},
         "effects": [_effect(e) | _drawn(e, o.curves) for e in o.effects],
         "curves": [_curve(c) for c in o.curves],
         "candidates": [asdict(c) for c in o.candidates],
         "unexplained": [_unexplained(u) for u in o.unexplained],
+        **({"motion": _motion(o.motion)} if o.motion else {}),
         "closed_loop": [_loop(c) for c in o.loops],
         "covariance": asdict(o.covariance) if o.covariance else None,
         "inputs": [asdict(f) for f in o.inputs],
@@ -106,6 +108,11 @@ def _channel(c: ChannelErrors) -> dict[str, Any]:
     if c.window:
         own |= {"held": c.window.held, "skill": c.window.skill}
     return own
+
+
+def _motion(m: PredictedMotion) -> dict[str, Any]:
+    values = {name: asdict(p) for name, p in m.values.items()}
+    return {"fitted_to": m.fitted_to, "windows": m.windows, "values": values}
 
 
 def _unexplained(u: Unexplained) -> dict[str, Any]:

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hydrojax.identify.results.outcome import ChannelErrors, FoundEffect, Unexplained
+from hydrojax.identify.results.outcome import (
+    ChannelErrors,
+    FoundEffect,
+    PredictedMotion,
+    Unexplained,
+)
 from hydrojax.report.text import quantity_text
 
 
@@ -81,3 +86,18 @@ def verdict_sentence(
     if command == "identify":
         return f"The declared model does not explain {channels}: {rest}. Try trace."
     return f"{start}no known effect explains the residual of {channels}: {rest}."
+
+
+def motion_sentence(motion: PredictedMotion) -> str:
+    """How far the position is off over whole logs."""
+    whole = motion.errors.horizons["free"]
+    if whole.after is None:
+        return "Motion: the run through whole logs does not stay finite."
+    after, held = (quantity_text(v, "m", figures=3) for v in (whole.after, whole.held))
+    skill = "" if whole.skill is None else f", skill {whole.skill:.4g}"
+    text = f"Motion: the position is off by {after} RMS over whole logs"
+    text += f" (held at its start, {held}{skill})"
+    if motion.fitted_to == "runs" and motion.windows is not None:
+        own = quantity_text(motion.windows, "m", figures=3)
+        text += f"; with the values found from pressures and force, by {own}"
+    return text + "."

@@ -1,0 +1,358 @@
+"""The motion that a rig predicts: its errors over runs, and a fit to these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hydrojax.errors import InputError
+from hydrojax.identify.case import Case
+from hydrojax.identify.estimation.columns import ParametricRig
+from hydrojax.identify.estimation.known import Free
+from hydrojax.identify.motion.course import Course, course_of, parts_of
+from hydrojax.identify.motion.follow import fit_follow, run_follow
+from hydrojax.identify.motion.linear import arx_errors
+from hydrojax.identify.preparation.noise import estimate_noise
+from hydrojax.identify.results.outcome import (
+    ChannelErrors,
+    Horizon,
+    MotionValue,
+    PredictedMotion,
+    Series,
+)
+from hydrojax.parameters import parameter_specs, put
+from hydrojax.plant.load import Inertia
+from hydrojax.rigfile.build import build_rig, free_load
+from hydrojax.rigfile.edit import rewrite
+from hydrojax.rigfile.recording import longest, position
+from hydrojax.units import with_command
+
+MASS = "payload_inertia.m"
+"""The parameter that is a moving mass, beside that of [load]."""
+
+LENGTHS = (0.25, 1.0, 5.0)
+"""Seconds of the runs beside those of whole logs."""
+
+CALLS = 3
+"""Fits of 20 steps at one length at most."""
+
+
+@dataclass(frozen=True)
+class _Mover:
+    """A rig that moves its load: the model, its load, and in how many parts a tick is
+    run.
+    """
+
+    model: ParametricRig
+    load: Inertia
+    parts: int
+
+    def mass(self, values: Mapping[str, float]) -> float:
+        """What moves, kg."""
+        return float(self.load.mass) + values.get(MASS, 0.0)
+
+    def vector(self, values: Mapping[str, float]) -> Float[np.ndarray, "n"]:
+        """Values in the model's order."""
+        own = zip(self.model.names, np.asarray(self.model.values), strict=True)
+        return np.array([values.get(name, value) for name, value in own])
+
+    def run(
+        self,
+        values: Mapping[str, float],
+        course: Course,
+        fresh: Bool[np.ndarray, "lengths runs n"],
+    ) -> Float[np.ndarray, "lengths runs n 3"]:
+        """Position and pressures less what was measured, SI; NaN where there is no
+        mass to move.
+        """
+        if self.mass(values) <= 0:
+            return np.full((*fresh.shape, 3), np.nan)
+        at = jnp.asarray(self.vector(values))
+        seen = run_follow(self.model, at, self.load, course, jnp.asarray(fresh))
+        return np.asarray(seen) - course.measured
+
+
+def predict_motion(
+    case: Case,
+    declared: Mapping[str, float],
+    found: Mapping[str, float],
+    free: Mapping[str, Free],
+    added: Sequence[str],
+    progress: Callable[[str], None] = lambda _: None,
+) -> PredictedMotion | None:
+    """Errors of the position where the rig's drive moves its load, and the values that
+    are best for whole logs; None where the rig file does not ask for it.
+
+    Args:
+        case: the rig and its logs.
+        declared: values of the declared model by name, SI.
+        found: those that were found from pressures and force.
+        free: what may be moved, by name.
+        added: effects that were found, which the rig file lacks.
+        progress: is told what is being done.
+
+    Raises:
+        InputError: nothing has a mass, or nothing drives the load.
+    """
+    if not case.spec.predicts:
+        return None
+    mover = _mover(case, found, added)
+    if mover is None:
+        return None
+    progress("predict the motion")
+    fit = course_of(case, case.fit_logs, mover.parts)
+    check = course_of(case, case.check_logs, mover.parts)
+    best = _refined(mover, found, free, fit)
+    ends = {"windows": found, "runs": best}
+    chosen = tuple(ends)[_better(mover, list(ends.values()), check)]
+    judged, logs = check, case.check_logs
+    if case.test_logs:
+        judged, logs = course_of(case, case.test_logs, mover.parts), case.test_logs
+    horizons = _horizons(mover, (declared, ends[chosen]), fit, judged)
+    first = next(iter(horizons.values()))
+    noise = float(np.median([_noise(case, log) for log in case.fit_logs]))
+    none = float("nan")
+    errors = ChannelErrors(
+        "m",
+        noise,
+        none if first.before is None else first.before,
+        none if first.after is None else first.after,
+        horizons=horizons,
+    )
+    moved = {n: float(ends[chosen][n]) for n in free if n in mover.model.names}
+    return PredictedMotion(
+        errors,
+        _finite(_whole(mover, found, judged)),
+        chosen,
+        _shown(mover, moved, found, case.spec.command_unit),
+        _series(mover, (declared, ends[chosen]), judged, [log.name for log in logs]),
+        rewrite(case.spec, dict(found) | moved, added),
+    )
+
+
+def _shown(
+    mover: _Mover,
+    moved: Mapping[str, float],
+    found: Mapping[str, float],
+    command_unit: str,
+) -> dict[str, MotionValue]:
+    """Values as reports show them: by the outside name of those that have one."""
+    specs, out = parameter_specs(mover.model.rig), {}
+    for name, value in moved.items():
+        spec, own, shown = specs[name], (value, float(found[name])), name
+        unit = spec.unit
+        if spec.outside:
+            owner = name.rpartition(".")[0]
+            shown = f"{owner}.{spec.outside[0]}" if owner else spec.outside[0]
+            own = (_inverse(own[0]), _inverse(own[1]))
+            unit = spec.outside[1]
+        out[shown] = MotionValue(*own, with_command(unit, command_unit))
+    return out
+
+
+def _inverse(value: float) -> float:
+    return 1 / value if value else float("inf")
+
+
+def _mover(
+    case: Case, found: Mapping[str, float], added: Sequence[str]
+) -> _Mover | None:
+    """The rig that moves its load; None where a trace found no mass to move.
+
+    Raises:
+        InputError: see `predict_motion`.
+    """
+    path = case.spec.path
+    if case.fit.driven_by == "pressures":
+        raise InputError(
+            f"{path}: [load] predicts needs a drive: give u in the logs, or the net "
+            "drive force P"
+        )
+    model, load = ParametricRig.of(build_rig(case.spec, added)), free_load(case.spec)
+    mover = _Mover(model, load, 1)
+    if mover.mass(found) <= 0:
+        return None
+    rig = put(model.rig, model.names, mover.vector(found))
+    h = float(np.median(np.concatenate([np.diff(log.time) for log in case.fit_logs])))
+    return _Mover(model, load, parts_of(rig, load, mover.mass(found), h))
+
+
+def _refined(
+    mover: _Mover,
+    found: Mapping[str, float],
+    free: Mapping[str, Free],
+    course: Course,
+) -> dict[str, float]:
+    """The values that are best for runs through whole logs, begun from `found`.
+
+    Found in two ways, of which the better is taken: at once, and through shorter runs.
+    A long run has many minima where an oscillation slips by a period; a short one is
+    mostly what it begins with, which is measured.
+    """
+    names = [n for n in free if n in mover.model.names]
+    if not names:
+        return dict(found)
+    every = _fresh(course)
+    moved = _Moved.of(mover, {n: free[n] for n in names}, course)
+    steps = dict(found)
+    for fresh in every.values():
+        steps = moved.fitted(steps, fresh)
+    tried = [dict(found), steps, moved.fitted(found, every["free"])]
+    return tried[_better(mover, tried, course)]
+
+
+def _better(mover: _Mover, tried: Sequence[Mapping[str, float]], course: Course) -> int:
+    """Which of several values is best for whole logs: position and pressures, each over
+    its own error by the first of them.
+    """
+    fresh = np.asarray(course.settling)[None]
+    there = np.asarray(course.there) > 0
+    off = [mover.run(values, course, fresh)[0] for values in tried]
+    size = _sizes(off[0], course)
+    seen = np.isfinite(size)
+    costs = [_rms((o[there] / size)[:, seen]) for o in off]
+    return int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """What is moved in a fit, in which directions, and what it is fitted to."""
+
+    mover: _Mover
+    free: Mapping[str, Free]
+    index: np.ndarray
+    scale: np.ndarray
+    course: Course
+
+    @classmethod
+    def of(cls, mover: _Mover, free: Mapping[str, Free], course: Course) -> _Moved:
+        """That of the parameters `free`."""
+        index = np.array([mover.model.names.index(n) for n in free])
+        return cls(mover, free, index, np.asarray(mover.model.scale)[index], course)
+
+    def fitted(
+        self, values: Mapping[str, float], fresh: Bool[np.ndarray, "runs n"]
+    ) -> dict[str, float]:
+        """The best values for runs that begin where ticks are `fresh`."""
+        directions = np.zeros((len(self.free), len(self.mover.model.names)))
+        directions[np.arange(len(self.free)), self.index] = self.scale
+        values = dict(values)
+        for _ in range(CALLS):
+            at = self.mover.vector(values)
+            own = at[self.index]
+            lower = np.array([f.lower for f in self.free.values()])
+            upper = np.array([f.upper for f in self.free.values()])
+            off = self.mover.run(values, self.course, fresh[None])[0]
+            fit = fit_follow(
+                self.mover.model,
+                jnp.asarray(at),
+                jnp.asarray(directions),
+                self.mover.load,
+                self.course,
+                jnp.asarray(fresh),
+                jnp.asarray(_sizes(off, self.course)),
+                (
+                    jnp.asarray((lower - own) / self.scale),
+                    jnp.asarray((upper - own) / self.scale),
+                ),
+            )
+            moved = own + np.asarray(fit.at) * self.scale
+            if not np.isfinite(moved).all():
+                break
+            values |= zip(self.free, np.clip(moved, lower, upper).tolist(), strict=True)
+            if bool(fit.converged):
+                break
+        return values
+
+
+def _sizes(off: Float[np.ndarray, "runs n 3"], course: Course) -> np.ndarray:
+    """What errors are counted in, [3], SI: a channel's own; inf where none is known."""
+    there = np.asarray(course.there) > 0
+    with np.errstate(over="ignore", invalid="ignore"):
+        own = np.sqrt(np.mean(off[there] ** 2, axis=0))
+    spread = np.std(np.asarray(course.measured)[there], axis=0)
+    size = np.where(np.isfinite(own), np.minimum(own, spread), spread)
+    return np.where(np.isfinite(spread) & (size > 0), size, np.inf)
+
+
+def _whole(mover: _Mover, values: Mapping[str, float], course: Course) -> float:
+    """RMS error of the position in runs through whole logs, m; NaN if not finite."""
+    fresh = np.asarray(course.settling)[None]
+    off = mover.run(values, course, fresh)[0, ..., 0]
+    return _rms(off[np.asarray(course.there) > 0])
+
+
+def _rms(off: np.ndarray) -> float:
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = float(np.sqrt(np.mean(off**2)))
+    return size if np.isfinite(size) else float("nan")
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _fresh(course: Course) -> dict[str, Bool[np.ndarray, "runs n"]]:
+    """By length of the run: the ticks at which one begins; "free" for whole logs."""
+    there, t = np.asarray(course.there) > 0, np.asarray(course.t)
+    settling = np.asarray(course.settling)
+    out = {}
+    for length in LENGTHS:
+        steps = np.floor((t - t[:, :1]) / length)
+        begins = np.diff(steps, axis=1, prepend=0) > 0
+        if (there & begins).sum() > len(t):
+            out[f"{length:g}"] = settling | begins
+    return out | {"free": settling}
+
+
+def _horizons(
+    mover: _Mover,
+    ends: tuple[Mapping[str, float], Mapping[str, float]],
+    fit: Course,
+    course: Course,
+) -> dict[str, Horizon]:
+    """Errors of the position by length of the run, with the values `ends`."""
+    fresh = _fresh(course)
+    stack = np.stack(list(fresh.values()))
+    there = np.asarray(course.there) > 0
+    x = np.asarray(course.measured)[..., 0]
+    runs = [mover.run(values, course, stack)[..., 0] for values in ends]
+    linear = arx_errors(fit, course, stack)
+    out = {}
+    for i, (name, begins) in enumerate(fresh.items()):
+        last = np.where(begins, np.arange(x.shape[1]), 0)
+        since = np.maximum.accumulate(last, axis=1)
+        held = x - np.take_along_axis(x, since, axis=1)
+        before, after = (_finite(_rms(run[i][there])) for run in runs)
+        out[name] = Horizon(before, after, _rms(held[there]), _finite(float(linear[i])))
+    return out
+
+
+def _noise(case: Case, log) -> float:
+    """Noise of a log's position, m."""
+    if "x" in case.spec.sensors:
+        return case.spec.sensors["x"]
+    return estimate_noise(position(log, case.spec)[slice(*longest(log))])
+
+
+def _series(
+    mover: _Mover,
+    ends: tuple[Mapping[str, float], Mapping[str, float]],
+    course: Course,
+    names: Sequence[str],
+) -> tuple[Series, ...]:
+    """Measured position and errors of the runs through whole logs, log by log."""
+    fresh = np.asarray(course.settling)[None]
+    runs = [-mover.run(values, course, fresh)[0, ..., 0] for values in ends]
+    out = []
+    for i, name in enumerate(names):
+        own = np.asarray(course.there)[i] > 0
+        x = np.asarray(course.measured)[i, own, 0]
+        before, after = ({"x": run[i, own]} for run in runs)
+        t = np.asarray(course.t)[i, own]
+        out.append(Series(name, t, {"x": x}, before, after, {}))
+    return tuple(out)
