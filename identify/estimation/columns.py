@@ -21,8 +21,13 @@ from hydrojax.plant.rig import Rig
 SUPPLY_BLOCKS = 3
 """Pieces of a window in each of which the supply's measurement error is a constant."""
 
-NUISANCE = 2 + SUPPLY_BLOCKS
-"""What each window has of its own: two initial pressures, and the supply's errors."""
+READINGS = 4
+"""The readings of both pressures where a window begins, and their slopes: a sensor that
+filters remembers them, and the log has them with its noise."""
+
+NUISANCE = 2 + SUPPLY_BLOCKS + READINGS
+"""What each window has of its own: two initial pressures, the supply's errors, and the
+`READINGS`."""
 
 
 class ParametricRig(NamedTuple):

@@ -44,7 +44,15 @@ PIECE = 256
 HANDFUL = 32
 """Windows whose columns are summed side by side: they stay in the processor's cache."""
 
-_OWN_PRIOR = np.diag([1 / START_SPREAD**2] * 2 + [1.0] * SUPPLY_BLOCKS)
+
+def _own_prior(white: Float[Array, "3"]) -> Float[Array, "unknowns unknowns"]:
+    """What is known beforehand of what each window has of its own; `white` [3] is 1
+    over the channels' noise, which the first readings have too, or 0.
+    """
+    wide = 1 / START_SPREAD
+    readings = jnp.maximum(white[:2], wide) ** 2
+    rest = np.array([wide**2] * 2 + [1.0] * SUPPLY_BLOCKS)
+    return jnp.diag(jnp.concatenate([rest, readings, jnp.ones(2)]))
 
 
 class Sums(NamedTuple):
@@ -133,7 +141,7 @@ def _sums(batch: Batch, y: Array, dy: Array) -> Sums:
     keep = np.r_[0:k, k + NUISANCE]
     own = slice(k, k + NUISANCE)
     cross = full[:, own, keep]
-    start = jnp.linalg.solve(full[:, own, own] + _OWN_PRIOR, cross)
+    start = jnp.linalg.solve(full[:, own, own] + _own_prior(white), cross)
     gram = full[:, keep[:, None], keep] - jnp.einsum("wia,wib->wab", cross, start)
     left = _leftover(residual, dy[k:], white, start[:, :, -1])
     weight = batch.weight
@@ -152,7 +160,7 @@ def _leftover(residual: Array, dy: Array, white: Array, start: Array) -> Array:
     cannot follow is not held against them.
     """
     seen = dy * white * jnp.array([1.0, 1.0, 0.0])
-    B = jnp.einsum("iwtc,jwtc->wij", seen, seen) + _OWN_PRIOR
+    B = jnp.einsum("iwtc,jwtc->wij", seen, seen) + _own_prior(white)
     cross = jnp.einsum("iwtc,wtc->wi", seen, residual * white)
     by_themselves = jnp.linalg.solve(B, -cross[..., None])[..., 0]
     own = residual + jnp.einsum("iwtc,wi->wtc", dy, by_themselves)
@@ -177,7 +185,7 @@ def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:
     white = jnp.where(seen, 1 / jnp.where(seen, batch.noise, 1.0), 0.0)
     residual = jnp.where(seen, batch.windows.measured - y, 0.0)
     scaled = dy * white
-    B = jnp.einsum("iwtc,jwtc->wij", scaled, scaled) + _OWN_PRIOR
+    B = jnp.einsum("iwtc,jwtc->wij", scaled, scaled) + _own_prior(white)
     cross = jnp.einsum("iwtc,wtc->wi", scaled, -residual * white)
     start = jnp.linalg.solve(B, cross[..., None])[..., 0]
     return _leftover(residual, dy, white, start), start[:, :2]

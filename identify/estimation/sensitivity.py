@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from hydrojax.identify.estimation.columns import (
     NUISANCE,
+    READINGS,
     SUPPLY_BLOCKS,
     Basis,
     Batch,
@@ -35,6 +36,10 @@ from hydrojax.plant.replay import (
     sensed,
 )
 from hydrojax.plant.rig import Rig
+
+SLOPE_SPREAD = 1e6
+"""How well the slope of a first reading is known, Pa/s: wide, smoothing leaves a fifth
+of it as noise, and more of the truth where a valve has just opened."""
 
 
 def memory_names(rig: Rig) -> tuple[str, ...]:
@@ -159,7 +164,8 @@ def driven_pressures(
     simulate: bool,
 ) -> Pressures:
     """The pressures along the hydraulic directions, the two initial pressures (per
-    Pa), and the supply's error in each block (per standard deviation of its mean).
+    Pa), and the supply's error in each block (per standard deviation of its mean); what
+    the sensors read at first moves none.
 
     With `simulate` False they are the log's, and nothing moves them.
     """
@@ -175,7 +181,8 @@ def driven_pressures(
 
     opened, by = opened_along(model, values, directions.hydraulic, w)
     # What each window has of its own does not move the spool.
-    by = jax.tree.map(lambda a: jnp.pad(a, ((0, NUISANCE), (0, 0), (0, 0))), by)
+    own = 2 + SUPPLY_BLOCKS
+    by = jax.tree.map(lambda a: jnp.pad(a, ((0, own), (0, 0), (0, 0))), by)
 
     def run(d, P_shift, supply, opened):
         # What does not move the rig has no derivative by it to be run along.
@@ -189,7 +196,9 @@ def driven_pressures(
         return jax.jvp(run, zero, parts)
 
     zero = (jnp.zeros(k_1), jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS), opened)
-    return Pressures(*jax.vmap(along, out_axes=(None, 0))(jnp.eye(k_1 + NUISANCE), by))
+    P, by = jax.vmap(along, out_axes=(None, 0))(jnp.eye(k_1 + own), by)
+    still = ((0, READINGS), (0, 0), (0, 0))
+    return Pressures(P, (jnp.pad(by[0], still), jnp.pad(by[1], still)))
 
 
 def sensitivities(
@@ -202,7 +211,8 @@ def sensitivities(
 ) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "columns windows ticks 3"]]:
     """Predictions and their derivatives along k + `NUISANCE` columns, SI.
 
-    The columns are those of `directions`, then what each window has of its own;
+    The columns are those of `directions`, then what each window has of its own, the
+    first readings per Pa and their slopes per `SLOPE_SPREAD`;
     `pressure` is of these windows, `recalled` of the motion they are cut from.
     """
     names, n = model.names, model.hydraulic
@@ -230,15 +240,21 @@ def sensitivities(
     if recalled.by is not None:
         d_F = d_F + _through_memory(here, w, pressure.P, recalled)
 
-    def read(d, P_1, P_2, F):
+    def read(d, P_1, P_2, F, first):
         # What filters the supply's reading too moves pressures and readings both.
         at = values[:n] + directions.hydraulic @ d[:k_1]
-        return sensed(put(moved(d[k_1:]), names[:n], at), w, P_1, P_2, F)
+        begun = w._replace(
+            P_a1=w.P_a1.at[:, 0].add(first[0]),
+            P_a2=w.P_a2.at[:, 0].add(first[1]),
+            dP=w.dP.at[:, 0, :2, 0].add(SLOPE_SPREAD * first[2:]),
+        )
+        return sensed(put(moved(d[k_1:]), names[:n], at), begun, P_1, P_2, F)
 
     k = k_1 + k_2
-    at = (jnp.zeros(k), P_1, P_2, F)
+    at = (jnp.zeros(k), P_1, P_2, F, jnp.zeros(READINGS))
+    last = jnp.eye(k + NUISANCE, READINGS, READINGS - k - NUISANCE)
     return jax.vmap(lambda *along: jax.jvp(read, at, along), out_axes=(None, 0))(
-        jnp.eye(k + NUISANCE, k), *d_P, d_F
+        jnp.eye(k + NUISANCE, k), *d_P, d_F, last
     )
 
 

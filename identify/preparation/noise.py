@@ -133,8 +133,9 @@ def _sensor_noise(
     f, power = signal.welch(even, 1 / h, nperseg=size, detrend="linear")
     end = f[-1]
     floor = float(np.median(power[f > 0.8 * end]))
-    middle = np.median(power[(f > 0.4 * end) & (f < 0.6 * end)])
-    if floor <= 0 or middle > criteria.flat_floor * floor:
+    # At 100 Hz a hard stop moves an encoder up to half of the band.
+    below = np.median(power[(f > 0.6 * end) & (f <= 0.8 * end)])
+    if floor <= 0 or below > criteria.flat_floor * floor:
         return None
     sigma = np.sqrt(floor * end)
     # Least squares: what smoothing takes off the signal, and leaves of the noise.

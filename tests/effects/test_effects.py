@@ -14,12 +14,14 @@ from scipy.optimize import brentq
 from hydrojax.effects import EFFECTS as KNOWN
 from hydrojax.identify.estimation.columns import (
     NUISANCE,
+    READINGS,
     SUPPLY_BLOCKS,
     Batch,
     ParametricRig,
     basis,
 )
 from hydrojax.identify.estimation.sensitivity import (
+    SLOPE_SPREAD,
     driven_pressures,
     recall,
     sensitivities,
@@ -694,6 +696,27 @@ def test_supply_errors_have_their_derivative(full, batch, columns):
         want = np.asarray(run(w.P_s + shift) - run(w.P_s - shift)) / 200.0
         got = dy[len(model.names) + 2 + i]
         assert off(got, want * 9e3 / np.sqrt(len(block))) < 1e-4
+
+
+def test_first_readings_have_their_derivative(full, batch, columns, plain):
+    """By 100 Pa, and by a tenth of the slope's spread: what filters remembers them."""
+    model, _, dy = columns
+    w = batch.windows
+
+    def shifted(i: int, sign: float):
+        name = ("P_a1", "P_a2")[i % 2]
+        P, dP = np.array(getattr(w, name)), np.array(w.dP)
+        if i < 2:
+            P[:, 0] += sign * 100.0
+        else:
+            dP[:, 0, i - 2, 0] += sign * SLOPE_SPREAD / 10
+        moved = w._replace(dP=dP, **{name: P})
+        return plain(full, batch._replace(windows=moved))
+
+    for i in range(READINGS):
+        want = np.asarray(shifted(i, 1.0) - shifted(i, -1.0)) / 2
+        got = dy[len(model.names) + 2 + SUPPLY_BLOCKS + i] * (100.0 if i < 2 else 0.1)
+        assert off(got, want) < 1e-4
 
 
 def test_driven_by_logged_pressures_only_friction_has_derivatives(full, batch):
