@@ -133,9 +133,13 @@ def _sensor_noise(
     f, power = signal.welch(even, 1 / h, nperseg=size, detrend="linear")
     end = f[-1]
     floor = float(np.median(power[f > 0.8 * end]))
-    # At 100 Hz a hard stop moves an encoder up to half of the band.
-    below = np.median(power[(f > 0.6 * end) & (f <= 0.8 * end)])
-    if floor <= 0 or below > criteria.flat_floor * floor:
+    middle, below = (
+        np.median(power[(f > low * end) & (f <= low * end + 0.2 * end)])
+        for low in (0.4, 0.6)
+    )
+    # At 100 Hz a hard stop moves an encoder up to half of the band, and not its end.
+    flat = middle <= criteria.flat_floor * floor or below <= criteria.flat_end * floor
+    if floor <= 0 or not flat:
         return None
     sigma = np.sqrt(floor * end)
     # Least squares: what smoothing takes off the signal, and leaves of the noise.

@@ -190,8 +190,10 @@ class Criteria:
     above_floor: float = 10.0
     """Power over the noise floor from which a position's spectrum is signal, 1."""
     flat_floor: float = 1.5
-    """Ratio of a spectrum's last fifth but one to its last up to which both are white,
-    1: a slope of f^-2 makes 1.7."""
+    """Ratio of a spectrum's middle to its last fifth up to which it is white, 1."""
+    flat_end: float = 1.15
+    """Ratio of a spectrum's last fifth but one to its last up to which its end is, 1: a
+    random walk makes 1.23, white noise 1.0 with a spread of 0.06 in 40 s at 100 Hz."""
     sensor_counts: float = 0.3
     """Share of a channel's noise that the noise of what drives must bring to be
     smoothed, 1: it adds 4 % to that noise. `benchmarks.trace`."""
