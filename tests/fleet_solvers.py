@@ -90,4 +90,6 @@ def main(table: str, out: str, cluster: str = "") -> None:
 
 
 if __name__ == "__main__":
+    # A shell starts what runs in its background with Ctrl-C ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     main(*sys.argv[1:])
