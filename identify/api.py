@@ -30,7 +30,7 @@ from hydrojax.identify.estimation.starts import best_start
 from hydrojax.identify.inference.profile import profiles
 from hydrojax.identify.inference.tolerance import with_tolerances
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
-from hydrojax.identify.motion.predict import predict_motion
+from hydrojax.identify.motion.predict import check_drive, predict_motion
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.sentence import motion_sentence
@@ -44,6 +44,11 @@ from hydrojax.rigfile.build import build_rig, effects_of
 from hydrojax.rigfile.edit import rewrite
 
 Progress = Callable[[str], None]
+
+NO_MASS = (
+    "the motion was not predicted: nothing that moves has a mass; add mass under "
+    "[load], or [effects.payload_inertia] with a range for m"
+)
 
 
 def applicable(case: Case) -> tuple[str, ...]:
@@ -138,6 +143,7 @@ def identify(
     With `profile`, intervals by profile likelihood too: many refits.
     """
     began, compiled = time.perf_counter(), _Compiling()
+    check_drive(case)
     progress("check the inputs")
     inputs = check_inputs(case.spec, case.read_logs).found
     state = fit_case(case, starts, progress)
@@ -156,6 +162,7 @@ def trace_case(
 ) -> Outcome:
     """The whole loop: fit, residual, the effect behind it, refit, before and after."""
     began = time.perf_counter()
+    check_drive(case)
     names = [n for n in applicable(case) if n not in case.spec.effects]
     problem, check, free, effects = _problems(case, names)
     compiled = _Compiling()
@@ -329,6 +336,8 @@ def _outcome(command, case, state, base, began, compiled, progress, profile) -> 
         declared = dict(zip(state.check.model.names, start, strict=True))
     added = [a.name for a in state.added]
     motion = predict_motion(case, declared, state.named, free, added, progress)
+    if case.spec.predicts and motion is None:
+        outcome = replace(outcome, limits=(*outcome.limits, NO_MASS))
     progress("the closed loop again")
     outcome = replace(
         outcome,

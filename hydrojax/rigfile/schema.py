@@ -250,6 +250,7 @@ def read_rig(
     known = {name: unit for name, unit in SIGNALS.items() if name != "time"}
     noise_units = {n: units.with_command(u, command) for n, u in known.items()}
     geometry, own = _with_tolerances(f"{path}: [geometry]", file.geometry, GEOMETRY)
+    check_known(f"{path}: [load]", file.load, (*LOAD, "predicts"), "key")
     load = dict(file.load)
     predicts = load.pop("predicts", "")
     supply, also = _with_tolerances(f"{path}: [supply]", file.supply, SUPPLY_UNITS)

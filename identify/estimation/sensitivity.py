@@ -38,8 +38,9 @@ from hydrojax.plant.replay import (
 from hydrojax.plant.rig import Rig
 
 SLOPE_SPREAD = 1e6
-"""How well the slope of a first reading is known, Pa/s: wide, smoothing leaves a fifth
-of it as noise, and more of the truth where a valve has just opened."""
+"""How well the slope of a first reading is known, Pa/s. Wide: a sensor of 8 kPa at
+100 Hz, smoothed at 13 Hz, leaves a fifth of it as noise, and smoothing takes more off
+where a valve has just opened."""
 
 
 def memory_names(rig: Rig) -> tuple[str, ...]:

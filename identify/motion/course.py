@@ -49,7 +49,9 @@ class Course(NamedTuple):
 
 
 def course_of(case: Case, logs: Sequence[Log], parts: int) -> Course:
-    """The longest stretch without gaps of every log, as a run in `parts` a tick."""
+    """The longest stretch without gaps of every log, as a run in `parts` a tick; its
+    head only where all logs together would hold over `criteria.most_ticks`.
+    """
     rows = [_rows(case, log, parts) for log in logs]
     ticks = max(len(row["t"]) for row in rows)
 
@@ -88,7 +90,9 @@ def course_of(case: Case, logs: Sequence[Log], parts: int) -> Course:
 
 def _rows(case: Case, log: Log, parts: int) -> dict[str, np.ndarray]:
     """One log's longest stretch: signals at its ticks, by name."""
-    rows = slice(*longest(log))
+    first, last = longest(log)
+    most = case.criteria.most_ticks // len(case.fit_logs)
+    rows = slice(first, min(last, first + most))
     own = case.preparation
     driven_by = case.fit.driven_by
     s = segment(0, log, case.spec, rows, driven_by, own.sign, own.band)

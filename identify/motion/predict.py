@@ -76,6 +76,19 @@ class _Mover:
         return np.asarray(seen) - course.measured
 
 
+def check_drive(case: Case) -> None:
+    """Refuse to predict a motion that nothing in the logs drives; before a fit begins.
+
+    Raises:
+        InputError: the rig file asks for it, and the logs have neither u nor P.
+    """
+    if case.spec.predicts and case.fit.driven_by == "pressures":
+        raise InputError(
+            f"{case.spec.path}: [load] predicts needs a drive: give u in the logs, or "
+            "the net drive force P"
+        )
+
+
 def predict_motion(
     case: Case,
     declared: Mapping[str, float],
@@ -85,7 +98,8 @@ def predict_motion(
     progress: Callable[[str], None] = lambda _: None,
 ) -> PredictedMotion | None:
     """Errors of the position where the rig's drive moves its load, and the values that
-    are best for whole logs; None where the rig file does not ask for it.
+    are best for whole logs; None where the rig file does not ask for it, or nothing has
+    a mass.
 
     Args:
         case: the rig and its logs.
@@ -94,9 +108,6 @@ def predict_motion(
         free: what may be moved, by name.
         added: effects that were found, which the rig file lacks.
         progress: is told what is being done.
-
-    Raises:
-        InputError: nothing has a mass, or nothing drives the load.
     """
     if not case.spec.predicts:
         return None
@@ -161,17 +172,7 @@ def _inverse(value: float) -> float:
 def _mover(
     case: Case, found: Mapping[str, float], added: Sequence[str]
 ) -> _Mover | None:
-    """The rig that moves its load; None where a trace found no mass to move.
-
-    Raises:
-        InputError: see `predict_motion`.
-    """
-    path = case.spec.path
-    if case.fit.driven_by == "pressures":
-        raise InputError(
-            f"{path}: [load] predicts needs a drive: give u in the logs, or the net "
-            "drive force P"
-        )
+    """The rig that moves its load; None where it has no mass."""
     model, load = ParametricRig.of(build_rig(case.spec, added)), free_load(case.spec)
     mover = _Mover(model, load, 1)
     if mover.mass(found) <= 0:

@@ -310,4 +310,5 @@ def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None
         files["rig.toml"] = outcome.rig_file.encode()
     if outcome.motion:
         files["rig_motion.toml"] = outcome.motion.rig_file.encode()
-    write_all(folder, files, obsolete=[f"report_{p}.png" for p in PICTURES])
+    old = ["rig_motion.toml", *(f"report_{p}.png" for p in PICTURES)]
+    write_all(folder, files, obsolete=old)

@@ -193,7 +193,7 @@ class Criteria:
     """Ratio of a spectrum's middle to its last fifth up to which it is white, 1."""
     flat_end: float = 1.15
     """Ratio of a spectrum's last fifth but one to its last up to which its end is, 1: a
-    random walk makes 1.23, white noise 1.0 with a spread of 0.06 in 40 s at 100 Hz."""
+    random walk makes 1.23, white noise 1."""
     sensor_counts: float = 0.3
     """Share of a channel's noise that the noise of what drives must bring to be
     smoothed, 1: it adds 4 % to that noise. `benchmarks.trace`."""

@@ -28,6 +28,16 @@ TRUE = {
     "payload_inertia.m": 160.0, "viscous_friction.b": 900.0,
 }  # fmt: skip
 
+FRICTION = """
+k_cp = "0 N"
+k_cn = "0 N"
+k_0 = "0 N"
+k_vp = "0 N*s/m"
+k_vn = "0 N*s/m"
+k_fp = "0"
+k_fn = "0"
+"""
+
 CYLINDER = """
 name = "free cylinder"
 layout = "pull-pull"
@@ -43,18 +53,12 @@ c_p1 = { start = "2.0e-9 m^3/(s*V*Pa^0.5)", range = ["2e-10 m^3/(s*V*Pa^0.5)", "
 c_n1 = { start = "2.0e-9 m^3/(s*V*Pa^0.5)", range = ["2e-10 m^3/(s*V*Pa^0.5)", "2e-8 m^3/(s*V*Pa^0.5)"] }
 c_p2 = { start = "2.0e-9 m^3/(s*V*Pa^0.5)", range = ["2e-10 m^3/(s*V*Pa^0.5)", "2e-8 m^3/(s*V*Pa^0.5)"] }
 c_n2 = { start = "2.0e-9 m^3/(s*V*Pa^0.5)", range = ["2e-10 m^3/(s*V*Pa^0.5)", "2e-8 m^3/(s*V*Pa^0.5)"] }
-k_cp = "0 N"
-k_cn = "0 N"
-k_0 = "0 N"
-k_vp = "0 N*s/m"
-k_vn = "0 N*s/m"
-k_fp = "0"
-k_fn = "0"
+FRICTION
 [effects.payload_inertia]
 m = { start = "100 kg", range = ["1 kg", "1000 kg"] }
 [effects.viscous_friction]
 b = { start = "300 N*s/m", range = ["0 N*s/m", "5000 N*s/m"] }
-"""  # noqa: E501
+""".replace("FRICTION\n", FRICTION.lstrip())  # noqa: E501
 
 AXIS = """
 name = "axis"
@@ -63,18 +67,12 @@ layout = "driven-axis"
 F = "0 N"
 predicts = "x"
 [parameters]
-k_cp = "0 N"
-k_cn = "0 N"
-k_0 = "0 N"
-k_vp = "0 N*s/m"
-k_vn = "0 N*s/m"
-k_fp = "0"
-k_fn = "0"
+FRICTION
 [effects.payload_inertia]
 m = { start = "60 kg", range = ["1 kg", "1000 kg"] }
 [effects.viscous_friction]
 b = { start = "100 N*s/m", range = ["0 N*s/m", "5000 N*s/m"] }
-"""
+""".replace("FRICTION\n", FRICTION.lstrip())
 
 
 def command(seed: int, seconds: float, size: float) -> np.ndarray:
@@ -161,7 +159,6 @@ def test_an_axis_is_predicted_to_its_noise(moved_axis):
 @pytest.mark.slow
 def test_what_is_said_of_it(moved_axis):
     assert "Motion: the position is off by" in moved_axis.outcome.sentence
-    assert moved_axis.verdict != ""
     assert "x" in moved_axis.channels.index
     assert moved_axis.horizons.loc[("x", "free"), "skill"] > 0.999
     rig = moved_axis.motion_rig
@@ -217,7 +214,9 @@ def test_a_run_is_that_of_scipy():
 
 
 def test_a_linear_model_is_judged_on_runs_of_its_own():
-    """A system that is linear, of second order, is simulated to its noise."""
+    """A system that is linear, of second order, is followed, and no better than that:
+    least squares on noisy samples takes its lag for a decay.
+    """
     case = open_case(hj.RigFile.from_text(AXIS), [axis(1)], [axis(2)])
     fit, check = (course_of(case, logs, 1) for logs in (case.fit_logs, case.check_logs))
     errors = arx_errors(fit, check, np.asarray(check.settling)[None])
@@ -236,3 +235,23 @@ def test_what_cannot_be_predicted_is_refused(change, said):
     with pytest.raises(InputError) as error:
         hj.RigFile.from_text(AXIS.replace(*change), "rig.toml")
     assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_drive_is_asked_for_before_the_fit():
+    """Logged pressures alone drive no load; said before anything is fitted."""
+    single = AXIS.replace('layout = "driven-axis"', 'layout = "single"')
+    single = single.replace("[load]", '[geometry]\narea = "1e-3 m^2"\n[load]')
+    log = axis(1).rename(columns={"P [N]": "P_a2 [Pa]"})
+    log["P_a2 [Pa]"] = 2e6 + 1e3 * log["P_a2 [Pa]"]
+    with pytest.raises(InputError, match="predicts needs a drive"):
+        hj.fit(hj.RigFile.from_text(single), [log])
+
+
+@pytest.mark.slow
+def test_without_a_mass_it_is_said():
+    text = AXIS.split("[effects.payload_inertia]")[0] + AXIS[AXIS.index("[effects.v") :]
+    free = 'k_0 = { start = "0 N", range = ["-50 N", "50 N"] }'
+    text = text.replace('k_0 = "0 N"', free)
+    found = hj.fit(hj.RigFile.from_text(text), [axis(1)])
+    assert found.outcome.motion is None and found.motion_rig is None
+    assert any("nothing that moves has a mass" in line for line in found.outcome.limits)
