@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
@@ -158,10 +159,16 @@ def minimise(
     The solver is given the Cholesky factor of the Gram matrix in place of Jacobian
     and residual: the same normal equations and cost, of size k+1 and not of the log.
     """
+    # XLA's CPU compiler (jaxlib 0.10.2) aborts on this loop where several starts are
+    # run side by side over a single coordinate: an idle one is set beside it.
+    count, idle = start.size, int(start.size == 1)
+    start, lower, upper = (jnp.pad(a, (0, idle)) for a in (start, lower, upper))
 
     def factor(y, _):
         here = jax.lax.stop_gradient(y)
-        G, also = jax.lax.stop_gradient(gram(here))
+        G, also = jax.lax.stop_gradient(gram(here[:count]))
+        where = np.r_[:count, count + idle]
+        G = jnp.zeros((y.size + 1,) * 2).at[np.ix_(where, where)].set(G)
         tiny = 1e-13 * jnp.maximum(jnp.diagonal(G), 1e-20)
         R = jnp.linalg.cholesky(G + jnp.diag(tiny)).T
         # Value and derivative of the residual in the factor's own coordinates.
@@ -173,7 +180,7 @@ def minimise(
     )
     cost = 0.5 * jnp.sum(out.state.f_info.residual**2)
     done = (out.result == optx.RESULTS.successful) & jnp.isfinite(cost)
-    return Fit(out.value, cost, out.stats["num_steps"], done, out.aux)
+    return Fit(out.value[:count], cost, out.stats["num_steps"], done, out.aux)
 
 
 __all__ = ["BoxedNewton", "Fit", "minimise"]

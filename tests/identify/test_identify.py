@@ -319,6 +319,26 @@ def line(y, A, b):
     return A @ y - b
 
 
+def test_several_starts_over_one_coordinate():
+    # Vmapped over a single coordinate, XLA's CPU compiler aborted the process.
+    x = np.linspace(0.1, 2, 30)
+    y = np.exp(-0.7 * x)
+
+    def residual(k):
+        return 1e4 * (jnp.exp(-k * x) - y)
+
+    starts = jnp.array([[0.05], [0.4], [2.5]])
+    out = jax.vmap(solver(residual), (0, None, None))(
+        starts, jnp.zeros(1), jnp.full(1, 3)
+    )
+    assert out.at.shape == out.also.shape == (3, 1)
+    np.testing.assert_allclose(out.at, 0.7, rtol=1e-6)
+    held = jax.vmap(solver(residual), (0, None, None))(
+        starts[:2], jnp.zeros(1), jnp.full(1, 0.5)
+    )
+    np.testing.assert_allclose(held.at, 0.5, rtol=1e-12)
+
+
 def quadratic(seed: int, held: int, mix: float):
     """A, b, and a box that leaves out the free optimum in `held` coordinates."""
     rng = np.random.default_rng(seed)
