@@ -176,7 +176,9 @@ def log_batch(
     dx = jnp.diff(path(quarters, 0), axis=1)[None]
     v = path(t, 1)[None]
     ticks = setup.h * jnp.ones((1, n - 1))
-    motion = Motion(dx, ticks, jnp.abs(v[:, 0]), v, table[None, :, 3])
+    motion = Motion(
+        dx, ticks, jnp.abs(v[:, 0]), v, table[None, :, 3], table[None, 0, 1:3]
+    )
     return Batch(
         motion,
         windows,

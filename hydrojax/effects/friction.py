@@ -8,8 +8,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.parameters import param
-from hydrojax.plant.effect import FrictionForce, LevelEffect, SpeedEffect
+from hydrojax.parameters import param, spread
+from hydrojax.plant.effect import (
+    FrictionForce,
+    HysteresisForce,
+    LevelEffect,
+    SpeedEffect,
+)
 
 
 class Stribeck(LevelEffect):
@@ -109,6 +114,43 @@ class FrictionDrift(LevelEffect):
 
     def level(self, at, base):
         return base * self.a * jnp.expm1(-at.t / self.tau)
+
+
+class MaxwellSlip(HysteresisForce):
+    """Friction behind a spring and a play (F8): a Maxwell slip element.
+
+    After a turn nothing is felt until the play is crossed, then the force rises in
+    proportion up to `f_p` (toward positive x) or `-f_n`, where the element slides. It
+    is `z_m` away from the middle then, of which the share `gap` is play. It holds its
+    force at rest.
+    """
+
+    name = "maxwell_slip"
+    f_p: Float[Array, ""] = param(
+        "N", 0.0, 0.0, 1e5, "force as it slides, v > 0", strength=True, size=50.0
+    )
+    f_n: Float[Array, ""] = param(
+        "N", 0.0, 0.0, 1e5, "force as it slides, v < 0", strength=True, size=50.0
+    )
+    z_m: Float[Array, ""] = param(
+        "m", 1e-4, 1e-6, 0.05, "deflection as it slides", grid=spread(1e-4, 1e-2, 4)
+    )
+    gap: Float[Array, ""] = param(
+        "1", 0.3, 0.0, 0.95, "share of it that is play", grid=(0.0, 0.5)
+    )
+
+    def reach(self):
+        return self.z_m
+
+    def force(self, w):
+        of = (jnp.abs(w) / self.z_m - self.gap) / (1 - self.gap)
+        return jnp.where(w > 0, self.f_p, -self.f_n) * jnp.maximum(of, 0.0)
+
+    def deflection(self, f):
+        most = jnp.where(f > 0, self.f_p, self.f_n)
+        share = jnp.abs(f) / jnp.where(most > 0, most, 1.0)
+        share = jnp.where(most > 0, jnp.minimum(share, 1.0), 1.0)
+        return jnp.sign(f) * self.z_m * (self.gap + (1 - self.gap) * share)
 
 
 class ViscousFriction(FrictionForce):

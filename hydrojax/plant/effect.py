@@ -264,6 +264,32 @@ class FrictionForce(Effect):
         raise NotImplementedError
 
 
+class HysteresisForce(Effect):
+    """Adds a friction force that remembers the way, not the speed: a stop operator.
+
+    Its deflection `w` (m) follows the piston and is held at `reach()` either way;
+    `force(w) -> N`, rising with it, opposes motion toward positive x. It stands beside
+    f_c, and no switch L(t) takes it away at rest. `deflection(f)` is where it stands
+    when it holds `f` (N): in a replay it begins at what drive and output force leave.
+    """
+
+    place = "hysteresis"
+    needs = ("F",)
+    residual_axis = "x"
+
+    def reach(self) -> Float[Array, ""]:
+        """The deflection at which it slides, m."""
+        raise NotImplementedError
+
+    def force(self, w: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """The force at a deflection (m), N."""
+        raise NotImplementedError
+
+    def deflection(self, f: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """A deflection (m) at which it holds `f` (N); 0 unless it says otherwise."""
+        return 0 * f
+
+
 class ForceEffect(Effect):
     """Adds a force between piston and load cell: `force(at) -> N`."""
 

@@ -19,6 +19,7 @@ class Sliding(NamedTuple):
     `speed` the filtered speed of L(t) (m/s), `t` the time since the log began. `lag` is
     the speed of an oil film that comes late, less `abs(v)` (m/s). `P_seal` is the mean
     of the pressures (Pa) that push on the piston, which `Rig.output_force` fills in.
+    `slips` are the deflections (m) of what gives friction its hysteresis.
     """
 
     t: Float[Array, "*batch"]
@@ -33,6 +34,7 @@ class Sliding(NamedTuple):
     P_s: Float[Array, "*batch"]
     lag: Float[Array, "*batch"] | float = 0.0
     P_seal: Float[Array, "*batch"] | float = 0.0
+    slips: tuple[Float[Array, "*batch"], ...] = ()
 
 
 class Theta(NamedTuple):
@@ -173,6 +175,46 @@ class Friction(eqx.Module):
         # The two forms of one root: each is free of cancellation where it is used.
         root = jnp.where(b > 0, 2 * size / (b + disc), (disc - b) / (2 * self.delta))
         return jnp.where(drive < 0, -root, root)
+
+
+def run_stop(
+    moves: Float[Array, "*batch n"],
+    reach: Float[Array, ""],
+    start: Float[Array, "*batch"],
+) -> Float[Array, "*batch n"]:
+    """All states of the stop operator `w -> clip(w + move, -reach, reach)`.
+
+    Shapes and blocks as in `run_linear`: of several steps one behind the other, too,
+    there remain one shift and one clip.
+    """
+    n = moves.shape[-1]
+    size = max(1, int(n**0.5))
+    blocks = -(-n // size)
+    pad = [(0, 0)] * (moves.ndim - 1) + [(0, blocks * size - n)]
+    moves = jnp.pad(moves, pad).reshape(*moves.shape[:-1], blocks, size)
+
+    def held(w):
+        return jnp.clip(w, -reach, reach)
+
+    def within(state, move):
+        shift, low, high = state
+        state = shift + move, held(low + move), held(high + move)
+        return state, state
+
+    def across(state, block):
+        shift, low, high = block
+        return jnp.clip(state + shift, low, high), state
+
+    none = jnp.zeros_like(moves[..., 0])
+    ends, steps = jax.lax.scan(
+        within, (none, none - reach, none + reach), jnp.moveaxis(moves, -1, 0)
+    )
+    ends = jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), ends)
+    _, entry = jax.lax.scan(across, held(start), ends)
+    shift, low, high = steps
+    states = jnp.clip(shift + jnp.moveaxis(entry, 0, -1), low, high)
+    states = jnp.moveaxis(states, 0, -1).reshape(*none.shape[:-1], blocks * size)
+    return states[..., :n]
 
 
 def run_linear(

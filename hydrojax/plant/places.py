@@ -17,6 +17,7 @@ from hydrojax.plant.effect import (
     FlowEffect,
     ForceEffect,
     FrictionForce,
+    HysteresisForce,
     LevelEffect,
     LineEffect,
     OrificeEffect,
@@ -61,7 +62,7 @@ class Place:
 # Numbers, since an array here would start JAX on import.
 _AT = Point._make((5e6, 6.5e6, 14e6, 0.25e6, (0.4, 0.1), 0.02, 0.01, ()))
 _SLIDING = Sliding._make(
-    (7.0, 0.02, 0.004, 0.6, 5e-5, -2e-3, 3e-3, 5e6, 6.5e6, 14e6, 0.0, 5.75e6)
+    (7.0, 0.02, 0.004, 0.6, 5e-5, -2e-3, 3e-3, 5e6, 6.5e6, 14e6, 0.0, 5.75e6, ())
 )
 
 PLACES: Mapping[str, Place] = MappingProxyType(
@@ -79,6 +80,7 @@ PLACES: Mapping[str, Place] = MappingProxyType(
             Place("velocity", SpeedEffect, "follow"),
             Place("level", LevelEffect, "level", (_SLIDING, 900.0)),
             Place("friction", FrictionForce, "force", (_SLIDING,)),
+            Place("hysteresis", HysteresisForce, "force", (4e-5,)),
             Place("force", ForceEffect, "force", (_SLIDING,)),
             Place("sensor_P", SensorChannel, "step", gauge=True),
             Place("sensor_F", SensorChannel, "step"),

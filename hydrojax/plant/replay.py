@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Lines, Point, refilled
 from hydrojax.plant.effect import CommandDelay, SpoolLimit
-from hydrojax.plant.friction import Sliding, run_linear
+from hydrojax.plant.friction import Sliding, run_linear, run_stop
 from hydrojax.plant.hydraulics import follow_drops, pressure_step, settled_drops
 from hydrojax.plant.rig import PARTS, Rig, mean_opening
 from hydrojax.plant.state import StepInput
@@ -33,7 +33,7 @@ class Motion(NamedTuple):
     `dx` [S, N-1, 4] displacement over each quarter of a tick; `h` [S, N-1] its length;
     `speed0` [S] the filtered speed to start from; `v` [S, N] the velocity at the ticks;
     `F` [S, N] the output force there, smoothed if it was measured, for what it
-    stretches.
+    stretches; `P_0` [S, 2] the pressures at the first tick.
     """
 
     dx: Float[Array, "segments n-1 4"]
@@ -41,6 +41,7 @@ class Motion(NamedTuple):
     speed0: Float[Array, "segments"]
     v: Float[Array, "segments n"]
     F: Float[Array, "segments n"]
+    P_0: Float[Array, "segments 2"]
 
 
 class Windows(NamedTuple):
@@ -85,21 +86,23 @@ class Windows(NamedTuple):
 class Past(NamedTuple):
     """What friction sees of the motion up to every tick, [S, N] each; SI.
 
-    `z` the bristle's deflection, `v` the piston's velocity; `speed` as in `State`.
+    `z` the bristle's deflection, `v` the piston's velocity; `speed` and `slips` as in
+    `State`.
     """
 
     z: Float[Array, "segments n"]
     speed: Float[Array, "segments n"] | Float[Array, "segments n films"]
     v: Float[Array, "segments n"]
+    slips: tuple[Float[Array, "segments n"], ...] = ()
 
     def within(self, w: Windows) -> Past:
         """The same at the windows' ticks, [W, lead+T] each."""
         index = w.first[:, None] + jnp.arange(w.x.shape[1])
-        return Past(*(a[w.seg[:, None], index] for a in self))
+        return jax.tree.map(lambda a: a[w.seg[:, None], index], self)
 
 
 def friction_memory(rig: Rig, motion: Motion) -> Past:
-    """Bristle, filtered speed and films over whole segments: once for all windows."""
+    """What friction remembers over whole segments: once for all windows."""
     s, n, quarters = motion.dx.shape
     dx, v = motion.dx, motion.v
     if rig.stretch:
@@ -126,7 +129,13 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
             for e in rig.velocity
         )
         speed = jnp.stack([speed, now, *films], axis=-1)
-    return Past(z, speed, v)
+    held = rig.drive_force(motion.P_0[:, 0], motion.P_0[:, 1]) - motion.F[:, 0]
+    slips = []
+    for e in rig.hysteresis:
+        begun = jnp.clip(e.deflection(held), -e.reach(), e.reach())
+        then = run_stop(dx, e.reach(), begun)[:, quarters - 1 :: quarters]
+        slips.append(jnp.concatenate([begun[:, None], then], axis=1))
+    return Past(z, speed, v, tuple(slips))
 
 
 STEPS, SLOW_STEPS = ((60, 1), (260, 5)), ((260, 1), (960, 5))
@@ -382,10 +391,10 @@ def forces(
     Each tick's is its own affair: `P_a1`, `P_a2` [W, lead+T] from `pressures` or the
     log, `past` at the windows.
     """
-    z, speed, v = past
+    z, speed, v, slips = past
     rate = rig.mechanics.z_rate(z, v)
     speed, lag = rig.films(speed)
-    at = Sliding(w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s, lag)
+    at = Sliding(w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s, lag, slips=slips)
     return rig.output_force(at)
 
 

@@ -48,6 +48,7 @@ class Rig(eqx.Module):
     velocity: tuple = ()
     level: tuple = ()
     friction: tuple = ()
+    hysteresis: tuple = ()
     force: tuple = ()
     sensor_P: tuple = ()
     sensor_F: tuple = ()
@@ -210,18 +211,25 @@ class Rig(eqx.Module):
         f_c = self.mechanics.sliding_force(at, self.level, self.friction)
         P = self.drive_force(at.P_a1, at.P_a2)
         F = self.mechanics.output_force(P, f_c, self.mechanics.switch(at.speed))
-        return F + sum(e.force(at) for e in self.force)
+        F = F + sum(e.force(at) for e in self.force)
+        held = zip(self.hysteresis, at.slips, strict=True)
+        return F - sum(e.force(w) for e, w in held)
 
     def slide(self, state: State, inputs: StepInput) -> State:
-        """Bristle, filtered speed and films after the piston's motion over a tick."""
+        """What friction remembers after the piston's motion over a tick."""
         dx = stretch.moves(self.stretch, inputs)
         h = inputs.h / dx.shape[-1]
         z, speed = state.z, state.speed[..., 0] if self.velocity else state.speed
+        slips = state.slips
         for i in range(dx.shape[-1]):
             keep, add = self.mechanics.bristle_map(dx[..., i])
             z = keep * z + add
             keep, add = self.mechanics.speed_map(dx[..., i], h)
             speed = keep * speed + add
+            slips = tuple(
+                jnp.clip(w + dx[..., i], -e.reach(), e.reach())
+                for e, w in zip(self.hysteresis, slips, strict=True)
+            )
         if self.velocity:
             now = jnp.abs(stretch.velocity(self.stretch, inputs))
             films = [now]
@@ -229,7 +237,7 @@ class Rig(eqx.Module):
                 keep, add = effect.follow(state.speed[..., 1], now, inputs.h)
                 films.append(keep * state.speed[..., 2 + i] + add)
             speed = jnp.stack([speed, *films], axis=-1)
-        return state._replace(z=z, speed=speed)
+        return state._replace(z=z, speed=speed, slips=slips)
 
     def films(
         self, speed: Float[Array, "*batch"] | Float[Array, "*batch films"]
@@ -258,6 +266,7 @@ class Rig(eqx.Module):
             P_a2=state.P[1],
             P_s=inputs.P_s[..., 1],
             lag=lag,
+            slips=state.slips,
         )
 
     def read(

@@ -46,7 +46,8 @@ class State(NamedTuple):
     film's speed stand behind it on a last axis. `lacking` says by how much, in Pa and
     <= 0, each chamber is short of being full; its pressure is then `P_VAPOUR`. `rod`
     holds the force that stretches, where one does; `motion` what the load remembers of
-    where the piston stands, `line` what stands in the chambers' lines.
+    where the piston stands, `line` what stands in the chambers' lines, `slips` the
+    deflections (m) of what gives friction its hysteresis.
     """
 
     command: tuple
@@ -59,3 +60,4 @@ class State(NamedTuple):
     motion: Any = ()
     lacking: tuple = (0.0, 0.0)
     line: Lines | None = None
+    slips: tuple[Float[Array, "*batch"], ...] = ()

@@ -37,8 +37,8 @@ def start(
 
     Args:
         rig: the plant.
-        inputs: the first tick. The command's path is at rest under its `u`; bristle
-            and filtered speed are zero.
+        inputs: the first tick. The command's path is at rest under its `u`; bristle,
+            filtered speed and what has hysteresis are zero.
         P: pressures of chambers 1 and 2, Pa, of one shape.
         load: what moves the piston; None for `Prescribed`.
 
@@ -49,8 +49,10 @@ def start(
     first = load.parts(inputs)[0]
     rest, x = jnp.zeros_like(P[0]), first.x[..., 0]
 
+    slips = (rest,) * len(rig.hysteresis)
+
     def force(v: Array, a: Array) -> Array:
-        at = Sliding(rest, x, v, a, rest, v, rest, *P, inputs.P_s[..., 0])
+        at = Sliding(rest, x, v, a, rest, v, rest, *P, inputs.P_s[..., 0], slips=slips)
         return rig.output_force(at)
 
     still = force(rest, rest)
@@ -70,6 +72,7 @@ def start(
         motion=motion,
         lacking=(rest, rest),
         line=rig.line_init(*P),
+        slips=slips,
     )
     paths = {"P_a1": (rig.gauge(0), P[0]), "P_a2": (rig.gauge(1), P[1])}
     paths["F"] = (rig.sensor_F, F)

@@ -44,10 +44,10 @@ where a valve has just opened."""
 
 
 def memory_names(rig: Rig) -> tuple[str, ...]:
-    """The parameters on which bristle, filtered speed and films depend."""
+    """The parameters on which what friction remembers depends."""
     moved = (
         f"{effect.name}.{field}"
-        for effect in (*rig.stretch, *rig.velocity)
+        for effect in (*rig.stretch, *rig.velocity, *rig.hysteresis)
         for field in specs(effect)
     )
     return ("z_ss", "L_rate", *moved)

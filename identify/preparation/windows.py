@@ -102,7 +102,8 @@ def motion(segments: list[Segment], h: float) -> Motion:
         speed[k] = first.sum() / (first.shape[0] * h)
         v[k, : s.t.size] = s.v
         F.append(np.pad(s.smoothed, (0, n - s.t.size), mode="edge"))
-    return Motion(*(jnp.asarray(np.array(a)) for a in (dx, ticks, speed, v, F)))
+    P_0 = [s.P[0] for s in segments]
+    return Motion(*(jnp.asarray(np.array(a)) for a in (dx, ticks, speed, v, F, P_0)))
 
 
 def _past(

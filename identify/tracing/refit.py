@@ -17,7 +17,7 @@ from hydrojax.identify.tracing.screen import scores_of
 from hydrojax.identify.tracing.state import Tracing, free_names, strengths
 from hydrojax.plant.effect import Effect
 
-FRICTION = ("velocity", "level", "friction")
+FRICTION = ("velocity", "level", "friction", "hysteresis")
 """Places of effects for which friction's own parameters can compensate."""
 
 

@@ -57,6 +57,7 @@ REACH = {
     "velocity": (2,),
     "level": (2,),
     "friction": (2,),
+    "hysteresis": (2,),
     "force": (2,),
     "sensor_P": (0, 1),
     "sensor_F": (2,),
@@ -140,7 +141,8 @@ def replays(log):
 def test_the_synthetic_log_wakes_every_mechanism(rig, log, without):
     """What the tests below rest on: both ways of everything, and mixed friction."""
     w = log.windows
-    z, speed, _ = map(np.asarray, jax.jit(friction_memory)(rig, log.motion))
+    past = jax.jit(friction_memory)(rig, log.motion)
+    z, speed = np.asarray(past.z), np.asarray(past.speed)
     switch = np.asarray(rig.mechanics.switch(speed))
     for signal in (w.u, w.v, z, without[..., 2]):
         assert signal.min() < 0 < signal.max()

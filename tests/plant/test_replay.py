@@ -96,6 +96,7 @@ def by_steps(rig, log):
         sensor_F=sensors(rig.sensor_F, true[..., 2]),
         lacking=(0 * P_0[:, 0], 0 * P_0[:, 1]),
         line=line_start(rig, w, openings(rig, w)),
+        slips=tuple(slip[w.seg, w.first] for slip in past.slips),
     )
     index = w.seg[:, None], w.first[:, None] + jnp.arange(1, ticks)
     w = before_filters(rig, w)
@@ -257,7 +258,8 @@ def output_force(P, f_c, L, k_fp=0.7, k_fn=0.6, delta=1 / 900):
 def forces(rig, log, drive_force):
     """F at the scored ticks by (1)-(7), (16), (22); the drive force from the log."""
     motion, w, _ = arrays(log)
-    z, speed, _ = map(np.asarray, jax.jit(friction_memory)(rig, motion))
+    past = jax.jit(friction_memory)(rig, motion)
+    z, speed = np.asarray(past.z), np.asarray(past.speed)
     windows, ticks, _ = log.windows.measured.shape
     out = np.zeros((windows, ticks))
     lead = log.windows.x.shape[1] - ticks
