@@ -144,6 +144,11 @@ KNOWN: dict[str, Known] = {
         "0.5 to 1 % of the friction for each kelvin",
         "It follows time and not place or load: repeat the same run warm.",
     ),
+    "maxwell_slip": Known(
+        {"f_p": 200.0, "f_n": 200.0, "z_m": 1e-3, "gap": 0.4},
+        "a pin or a linkage with play in front of what rubs: tenths of a millimetre to several; without play, a seal that bends before it slides",
+        "After every turn the force keeps away over the same stretch of the way, fast or slow, and it stays at rest: turn at several amplitudes, some smaller than that stretch.",
+    ),
     "payload_inertia": Known(
         {"m": 100.0},
         "the mass between piston and load cell, 2 to 20 kg",

@@ -150,7 +150,9 @@ class MaxwellSlip(HysteresisForce):
         most = jnp.where(f > 0, self.f_p, self.f_n)
         share = jnp.abs(f) / jnp.where(most > 0, most, 1.0)
         share = jnp.where(most > 0, jnp.minimum(share, 1.0), 1.0)
-        return jnp.sign(f) * self.z_m * (self.gap + (1 - self.gap) * share)
+        # A force near none does not say on which side of the play it stands.
+        play = self.gap * jnp.minimum(share / 0.05, 1.0)
+        return jnp.sign(f) * self.z_m * (play + (1 - self.gap) * share)
 
 
 class ViscousFriction(FrictionForce):

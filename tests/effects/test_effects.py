@@ -28,7 +28,7 @@ from hydrojax.identify.estimation.sensitivity import (
 )
 from hydrojax.parameters import get, parameter_specs, put, specs
 from hydrojax.plant.chambers import Point
-from hydrojax.plant.friction import Sliding, run_linear
+from hydrojax.plant.friction import Sliding, run_linear, run_stop
 from hydrojax.plant.places import PLACES
 from hydrojax.plant.replay import friction_memory, pressures, readings
 from hydrojax.plant.rig import add
@@ -357,6 +357,47 @@ def test_the_film_follows_its_equation(tau):
 def test_a_film_that_is_not_late_is_the_speed_itself():
     speed = np.abs(np.random.default_rng(0).normal(0, 0.02, 300))
     assert np.array_equal(film_of(0.0, speed, np.full(299, 1e-3)), speed[1:])
+
+
+# -- friction's hysteresis --
+
+
+def slipping(moves, reach, w):
+    """The stop operator, step by step."""
+    out = []
+    for move in moves:
+        w = min(max(w + move, -reach), reach)
+        out.append(w)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("n", [1, 2, 17, 400])
+@pytest.mark.parametrize("reach", [2e-5, 3e-4, 1.0])
+def test_the_stop_operator_is_clipped_step_by_step(n, reach):
+    rng = np.random.default_rng(n)
+    moves = np.cumsum(rng.normal(0, 3e-5, (3, n)), axis=1) * rng.choice([1, -1], (3, n))
+    first = reach * np.array([-1.0, 0.2, 1.0])
+    want = np.stack(
+        [slipping(*row) for row in zip(moves, [reach] * 3, first, strict=True)]
+    )
+    assert np.allclose(run_stop(moves, reach, first), want, rtol=0, atol=1e-15)
+
+    def last(reach):
+        return run_stop(moves, reach, 0.2 * first)[:, -1]
+
+    step = 1e-7 * reach
+    by, ahead, behind = jax.jacfwd(last)(reach), last(reach + step), last(reach - step)
+    assert np.allclose(by, (ahead - behind) / (2 * step), rtol=0, atol=1e-5)
+
+
+def test_a_slip_element_holds_nothing_in_its_play_and_its_force_beyond():
+    slip = EFFECTS["maxwell_slip"](f_p=900.0, f_n=600.0, z_m=4e-3, gap=0.25)
+    w = 1e-3 * np.array([-4.0, -2.5, -1.0, -0.3, 0.0, 0.9, 1.0, 1.6, 4.0])
+    want = [-600.0, -300.0, 0.0, 0.0, 0.0, 0.0, 0.0, 180.0, 900.0]
+    assert np.allclose(slip.force(w), want, rtol=1e-12, atol=1e-9)
+    held = np.array([-2000.0, -600.0, -150.0, 1e-6, 450.0, 900.0, 5000.0])
+    kept = slip.force(slip.deflection(held))
+    assert np.allclose(kept, np.clip(held, -600, 900), rtol=1e-12)
 
 
 @pytest.mark.parametrize("v", [0.012, 1e-4, -1e-4, -0.02])
