@@ -1,0 +1,1 @@
+"""Measured sets, predicted by hydrojax and by models that know no physics."""
