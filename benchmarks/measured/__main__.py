@@ -57,6 +57,8 @@ def main(
         console.print(table)
         if own is not None:
             console.print(own.said)
+        elif ours:
+            console.print("hydrojax: no layout of a rig file says what was measured")
 
 
 def _own(data: Path, name: str, measured: Measured) -> Own | None:

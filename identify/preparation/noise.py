@@ -33,15 +33,16 @@ def estimate_noise(y: Float[np.ndarray, "rows"]) -> float:
 def motion_band(
     t: Float[np.ndarray, "rows"],
     x: Float[np.ndarray, "rows"],
-    quiet: float,
+    driven_by: str,
     criteria: Criteria = Criteria(),
 ) -> float | None:
     """Frequency (Hz) up to which acceleration can be had from a position, or None.
 
     The spectrum of a position falls until it meets the flat floor of its noise, which
     acceleration raises with the fourth power of frequency. The band is where noise
-    brings at most the share `quiet` of the acceleration that stands clear of it; None
-    if that is all of it.
+    brings at most the share `Criteria.band_noise` of the acceleration that stands clear
+    of it, but not below `Criteria.lowest_band` unless it brings much there; None if
+    that is all of it.
     """
     h = float(np.median(np.diff(t)))
     even = np.interp(np.arange(t[0], t[-1], h), t, x)
@@ -52,9 +53,15 @@ def motion_band(
     clear = power > criteria.above_floor * floor
     size = np.sum((power * rise)[clear]) * step
     noise = np.cumsum(floor * rise) * step
-    below = np.nonzero(noise <= quiet**2 * size)[0]
-    cut = float(f[below[-1]]) if below.size else float(f[1])
-    cut = max(cut, criteria.lowest_band)
+
+    def up_to(share: float) -> float:
+        below = np.nonzero(noise <= share**2 * size)[0]
+        return float(f[below[-1]]) if below.size else float(f[1])
+
+    lowest = criteria.lowest_band
+    if driven_by == "pressures":
+        lowest = min(lowest, up_to(criteria.rough_pressures))
+    cut = max(up_to(criteria.band_noise[driven_by]), lowest)
     return None if cut > 0.4 / h else cut
 
 

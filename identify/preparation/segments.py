@@ -56,7 +56,7 @@ def common_band(
         motion_band(
             log.time[slice(*rows)],
             position(log, spec)[slice(*rows)],
-            criteria.band_noise[driven_by],
+            driven_by,
             criteria,
         )
         for log in logs

@@ -187,6 +187,11 @@ class Criteria:
     lowest_band: float = 20.0
     """Hz below which motion is always followed: friction reverses that fast.
     `benchmarks.recorded`."""
+    rough_pressures: float = 0.25
+    """Share of acceleration that is noise from which motion is not followed, where
+    pressures drive, even below that, 1: the bristle follows the displacement itself,
+    and viscous friction follows a rough speed worse than a smooth one.
+    `benchmarks.measured`."""
     above_floor: float = 10.0
     """Power over the noise floor from which a position's spectrum is signal, 1."""
     flat_floor: float = 1.5

@@ -621,11 +621,15 @@ def position(t: np.ndarray) -> np.ndarray:
 def test_a_noisy_position_gets_a_band_and_a_clean_one_none():
     t = 1e-3 * np.arange(12_000)
     x = position(t)
-    assert motion_band(t, x, 0.005) is None
+    assert motion_band(t, x, "pressures") is None
     noise = np.random.default_rng(0).normal(size=t.size)
-    bands = [motion_band(t, x + s * noise, 0.005) for s in (1e-7, 1e-6, 1e-5)]
+    bands = [motion_band(t, x + s * noise, "pressures") for s in (1e-7, 1e-6, 1e-5)]
     assert all(b is not None and 11 < b < 400 for b in bands)
     assert bands == sorted(bands, reverse=True)
+    # Friction's turns are followed, unless a rough position hides them anyhow.
+    rough = x + 3e-4 * noise
+    assert motion_band(t, rough, "u") == Criteria().lowest_band
+    assert 0.7 < motion_band(t, rough, "pressures") < Criteria().lowest_band
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.3])
