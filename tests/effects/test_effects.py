@@ -395,7 +395,7 @@ def test_a_slip_element_holds_nothing_in_its_play_and_its_force_beyond():
     w = 1e-3 * np.array([-4.0, -2.5, -1.0, -0.3, 0.0, 0.9, 1.0, 1.6, 4.0])
     want = [-600.0, -300.0, 0.0, 0.0, 0.0, 0.0, 0.0, 180.0, 900.0]
     assert np.allclose(slip.force(w), want, rtol=1e-12, atol=1e-9)
-    held = np.array([-2000.0, -600.0, -150.0, 1e-6, 450.0, 900.0, 5000.0])
+    held = np.array([-2000.0, -600.0, -150.0, 60.0, 450.0, 900.0, 5000.0])
     kept = slip.force(slip.deflection(held))
     assert np.allclose(kept, np.clip(held, -600, 900), rtol=1e-12)
 
