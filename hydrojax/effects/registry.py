@@ -180,10 +180,11 @@ def _check(effect: Any, where: str) -> str:
     if not isinstance(getattr(effect, "residual_axis", None), str):
         refuse('declares no axis of its residual: add residual_axis = "v"')
     method, trial = PLACES[place].method, PLACES[place].trial
-    own = getattr(effect, method, None) if method else True
     bases = {p.base for p in PLACES.values()}
-    if own is None or any(own is getattr(base, method or "_", 0) for base in bases):
-        refuse(f"at the place {place!r} it needs a method {method}(...)")
+    for wanted in (*([method] if method else ()), *PLACES[place].besides):
+        own = getattr(effect, wanted, None)
+        if own is None or any(own is getattr(base, wanted, 0) for base in bases):
+            refuse(f"at the place {place!r} it needs a method {wanted}(...)")
     declared = specs(effect)
     if not declared:
         refuse(

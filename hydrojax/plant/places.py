@@ -44,6 +44,7 @@ class Place:
             values of everything; None where a call alone shows nothing.
         hydraulic: whether the chamber pressures depend on the effect.
         gauge: whether the effect changes what the pressure sensors read.
+        besides: what else an effect there must define.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Place:
     trial: tuple | None = None
     hydraulic: bool = False
     gauge: bool = False
+    besides: tuple[str, ...] = ()
 
     @property
     def shows_in_pressures(self) -> bool:
@@ -72,7 +74,7 @@ PLACES: Mapping[str, Place] = MappingProxyType(
             Place("command", CommandChannel, "step", hydraulic=True),
             Place("orifice", OrificeEffect, None, hydraulic=True),
             Place("supply", SupplyEffect, "drop", (3e-9, 9e6), hydraulic=True),
-            Place("line", LineEffect, "loss", hydraulic=True),
+            Place("line", LineEffect, "loss", hydraulic=True, besides=("volume",)),
             Place("flow", FlowEffect, "flow", (_AT,), hydraulic=True),
             Place("volume", VolumeEffect, "volume", (), hydraulic=True),
             Place("compliance", ComplianceEffect, "compliance", (3e6,), hydraulic=True),
@@ -80,7 +82,7 @@ PLACES: Mapping[str, Place] = MappingProxyType(
             Place("velocity", SpeedEffect, "follow"),
             Place("level", LevelEffect, "level", (_SLIDING, 900.0)),
             Place("friction", FrictionForce, "force", (_SLIDING,)),
-            Place("hysteresis", HysteresisForce, "force", (4e-5,)),
+            Place("hysteresis", HysteresisForce, "force", (4e-5,), besides=("reach",)),
             Place("force", ForceEffect, "force", (_SLIDING,)),
             Place("sensor_P", SensorChannel, "step", gauge=True),
             Place("sensor_F", SensorChannel, "step"),

@@ -182,6 +182,7 @@ def test_the_example_of_what_is_refused_would_do(vocabulary, tmp_path):
         ),
         ('    residual_axis = "v"\n', "", "add residual_axis"),
         ("def force", "def power", "needs a method force(...)"),
+        ("(FrictionForce)", "(HysteresisForce)", "needs a method reach(...)"),
         ('"N*s/m"', '""', "the unit '' is unknown"),
         ('"N*s/m"', '"N*s/furlough"', "the unit 'N*s/furlough' is unknown"),
         ("strength=True, ", "", "one of ['c'] must have strength=True"),
