@@ -127,10 +127,10 @@ class MaxwellSlip(HysteresisForce):
 
     name = "maxwell_slip"
     f_p: Float[Array, ""] = param(
-        "N", 0.0, 0.0, 1e5, "force as it slides, v > 0", strength=True, size=50.0
+        "N", 0.0, 0.0, 1e5, "force as it slides, v > 0", strength=True, size=500.0
     )
     f_n: Float[Array, ""] = param(
-        "N", 0.0, 0.0, 1e5, "force as it slides, v < 0", strength=True, size=50.0
+        "N", 0.0, 0.0, 1e5, "force as it slides, v < 0", strength=True, size=500.0
     )
     z_m: Float[Array, ""] = param(
         "m", 1e-4, 1e-6, 0.05, "deflection as it slides", grid=spread(1e-4, 1e-2, 4)
