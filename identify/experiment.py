@@ -177,7 +177,7 @@ def log_batch(
     v = path(t, 1)[None]
     ticks = setup.h * jnp.ones((1, n - 1))
     motion = Motion(
-        dx, ticks, jnp.abs(v[:, 0]), v, table[None, :, 3], table[None, 0, 1:3]
+        dx, ticks, jnp.abs(v[:, 0]), v, table[None, :, 3], (table[:1, 1], table[:1, 2])
     )
     return Batch(
         motion,

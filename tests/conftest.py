@@ -131,7 +131,7 @@ def make_drive(substeps: int = 1, jitter: float = 0.0, seed: int = 0) -> Drive:
         speed0=np.array([2e-3, 5e-3]),
         v=np.stack([waves[s]["x"](t[s, PRE:], 1) for s in range(2)]),
         F=np.stack([waves[s]["F"](t[s, PRE:]) for s in range(2)]),
-        P_0=np.full((2, 2), 6e6),
+        P_0=(np.full(2, 6e6), np.full(2, 6e6)),
     )
 
     n = LEAD + SCORED

@@ -33,7 +33,7 @@ class Motion(NamedTuple):
     `dx` [S, N-1, 4] displacement over each quarter of a tick; `h` [S, N-1] its length;
     `speed0` [S] the filtered speed to start from; `v` [S, N] the velocity at the ticks;
     `F` [S, N] the output force there, smoothed if it was measured, for what it
-    stretches; `P_0` [S, 2] the pressures at the first tick.
+    stretches; `P_0` the pressures at the first tick, [S] each.
     """
 
     dx: Float[Array, "segments n-1 4"]
@@ -41,7 +41,7 @@ class Motion(NamedTuple):
     speed0: Float[Array, "segments"]
     v: Float[Array, "segments n"]
     F: Float[Array, "segments n"]
-    P_0: Float[Array, "segments 2"]
+    P_0: tuple[Float[Array, "segments"], Float[Array, "segments"]]
 
 
 class Windows(NamedTuple):
@@ -129,7 +129,7 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
             for e in rig.velocity
         )
         speed = jnp.stack([speed, now, *films], axis=-1)
-    held = rig.drive_force(motion.P_0[:, 0], motion.P_0[:, 1]) - motion.F[:, 0]
+    held = rig.drive_force(*motion.P_0) - motion.F[:, 0]
     slips = []
     for e in rig.hysteresis:
         begun = jnp.clip(e.deflection(held), -e.reach(), e.reach())

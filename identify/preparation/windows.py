@@ -102,8 +102,11 @@ def motion(segments: list[Segment], h: float) -> Motion:
         speed[k] = first.sum() / (first.shape[0] * h)
         v[k, : s.t.size] = s.v
         F.append(np.pad(s.smoothed, (0, n - s.t.size), mode="edge"))
-    P_0 = [s.P[0] for s in segments]
-    return Motion(*(jnp.asarray(np.array(a)) for a in (dx, ticks, speed, v, F, P_0)))
+    dx, ticks, speed, v, F = (
+        jnp.asarray(np.array(a)) for a in (dx, ticks, speed, v, F)
+    )
+    one, two = (jnp.asarray([s.P[0, i] for s in segments]) for i in range(2))
+    return Motion(dx, ticks, speed, v, F, (one, two))
 
 
 def _past(
