@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measured.own import Own, axis, traced
+from benchmarks.measured.own import OWN
 from benchmarks.measured.peers import PEERS, predicted
 from benchmarks.measured.sets import SETS, Measured
 from hydrojax.jax_setup import set_up_jax
@@ -31,12 +31,18 @@ NEEDED = {
 
 
 def main(
-    data: Annotated[Path, typer.Argument(help="folder of the sets")],
+    data: Annotated[
+        Path, typer.Argument(help="folder of the sets", exists=True, file_okay=False)
+    ],
     only: Annotated[list[str], typer.Option(help="a set; may be repeated")] = [],  # noqa: B006
     ours: Annotated[bool, typer.Option(help="run hydrojax, too")] = True,
     others: Annotated[bool, typer.Option(help="run the other models, too")] = True,
 ) -> None:
     """Predict measured sets by hydrojax and by models that know no physics."""
+    unknown = [name for name in only if name not in SETS]
+    if unknown:
+        said = f"no set {unknown[0]!r}: choose from {', '.join(SETS)}"
+        raise typer.BadParameter(said, param_hint="--only")
     set_up_jax()
     console = Console(width=110)
     for name, measured in SETS.items():
@@ -47,7 +53,7 @@ def main(
             continue
         unit = "" if measured.unit == "1" else f", {measured.unit}"
         table = Table(f"{name}: {measured.task}", f"RMS error{unit}", "s")
-        own = _own(data, name, measured) if ours else None
+        own = OWN[name](data, measured) if ours and name in OWN else None
         if own is not None:
             for i, (row, error) in enumerate(own.rows.items()):
                 seconds = f"{own.seconds:.0f}" if i == 0 else ""
@@ -59,13 +65,6 @@ def main(
             console.print(own.said)
         elif ours:
             console.print("hydrojax: no layout of a rig file says what was measured")
-
-
-def _own(data: Path, name: str, measured: Measured) -> Own | None:
-    """Ours; None where no layout of a rig file can say what was measured."""
-    if name == "robot arm":
-        return None
-    return axis(data, measured) if name == "EMPS" else traced(data, measured)
 
 
 def _peers(table: Table, data: Path, measured: Measured) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -68,14 +69,13 @@ def axis(data: Path, measured: Measured) -> Own:
         "ARX(4, 4) at every tick of 1 ms": whole.arx,
         "held where it began": whole.held,
     }
-    rows = {n: None if e is None else e / measured.size for n, e in rows.items()}
     values = (
         f"{name} {p.value:.4g}"
         + (f" (published {PUBLISHED[name]:.4g})" if name in PUBLISHED else "")
         + f" {p.unit}"
         for name, p in motion.values.items()
     )
-    return Own(rows, ", ".join(values), seconds)
+    return Own(_in_unit(rows, measured), ", ".join(values), seconds)
 
 
 def traced(data: Path, measured: Measured) -> Own:
@@ -89,11 +89,15 @@ def traced(data: Path, measured: Measured) -> Own:
     outcome = api.trace_case(open_case(folder / "rig.toml", logs, others))
     seconds = time.perf_counter() - began
     whole = outcome.channels["F"].horizons["free"]
-    kilo = 1e3 if measured.unit == "kN" else 1.0
     rows = {"hydrojax": whole.after, "hydrojax, as declared": whole.before}
-    rows = {n: None if e is None else e / kilo for n, e in rows.items()}
     named = ", ".join(e.name for e in outcome.effects) or "nothing"
-    return Own(rows, f"{outcome.verdict}: {named}", seconds)
+    return Own(_in_unit(rows, measured), f"{outcome.verdict}: {named}", seconds)
+
+
+def _in_unit(
+    rows: Mapping[str, float | None], measured: Measured
+) -> dict[str, float | None]:
+    return {n: None if e is None else e / measured.size for n, e in rows.items()}
 
 
 def _published(case: Case) -> float | None:
@@ -103,3 +107,13 @@ def _published(case: Case) -> float | None:
     published = {"L_slope": 1e6, "z_ss": 1e-7, **PUBLISHED}
     motion = predict_motion(case, {}, published, {}, ())
     return motion and motion.windows
+
+
+OWN: Mapping[str, Callable[[Path, Measured], Own]] = {
+    "EMPS": axis,
+    "KDN seal": traced,
+    "circular seal": traced,
+    "O-ring 257": traced,
+    "friction damper": traced,
+}
+"""How each set is run; what is missing has no layout that a rig file could name."""

@@ -146,16 +146,15 @@ def narx(runs: Sequence[Run], order: int) -> Simulate:
     from sysidentpy.parameter_estimation import LeastSquares
 
     u = np.concatenate([r.u for r in runs])
+    lags = list(range(1, order + 1))
     model = FROLS(
         ylag=order,
-        xlag=[list(range(1, order + 1)) for _ in range(u.shape[1])],
+        xlag=lags if u.shape[1] == 1 else [lags] * u.shape[1],
         n_info_values=25,
         estimator=LeastSquares(),
         basis_function=Polynomial(degree=2),
         model_type="NARMAX",
     )
-    if u.shape[1] == 1:
-        model.xlag = list(range(1, order + 1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of terms it tries and drops
         model.fit(X=u, y=np.concatenate([r.y for r in runs])[:, None])

@@ -42,7 +42,7 @@ class Measured:
         folder: of the set, below the folder of all data.
         task: what is predicted from what.
         unit: of errors.
-        size: of that unit in the logs' own.
+        size: of that unit in what is predicted.
         source: who recorded it, and where it is had.
         runs: `part` ("fit" or "validate") -> the runs; see `read`.
     """
@@ -74,7 +74,7 @@ def _damper(folder: Path, part: str) -> list[Run]:
     runs = []
     for path in sorted(folder.glob(f"{part}*.csv")):
         t, x, P = pd.read_csv(path).to_numpy().T
-        runs.append(_thinned(t, np.stack([x, _speed(t, x), P], axis=1), 8))
+        runs.append(_thinned(t, np.stack([x, _speed(t, x), 1e3 * P], axis=1), 8))
     return runs
 
 
@@ -124,7 +124,7 @@ SETS: Mapping[str, Measured] = MappingProxyType(
             "zillen-o-ring257", "motion, pressure → force", "N", 1.0, _SEALS, _seal
         ),
         "friction damper": Measured(
-            "arts-friction-damper", "motion → force", "kN", 1.0,
+            "arts-friction-damper", "motion → force", "kN", 1e3,
             "ARTS-Laboratory, Dataset-Friction-Damper-with-Backlash, CC BY-SA 4.0",
             _damper,
         ),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from benchmarks.measured.peers import PEERS, predicted
+from benchmarks.measured.peers import predicted
 from benchmarks.measured.sets import SETS, Run
 
 
@@ -53,6 +53,25 @@ def test_the_others_are_near_on_a_linear_system(name):
     assert error < 0.05 * np.std(linear(3).y)
 
 
-def test_every_set_says_where_it_is_had():
-    assert all(s.source and s.task and s.folder for s in SETS.values())
-    assert set(PEERS) == {"ARX", "subspace (N4SID)", "NARX (SysIdentPy)", "GRU"}
+def test_uneven_times_are_made_even_and_a_repeated_one_is_dropped(tmp_path):
+    folder = tmp_path / SETS["KDN seal"].folder
+    folder.mkdir()
+    t = np.cumsum(np.random.default_rng(0).choice([0.008, 0.012, 0.02], 400))
+    t = np.r_[t[:200], t[199], t[200:]]
+    table = np.stack([t, 5.0 * t, 2.0 + 0.1 * t, 3.0 * t], axis=1)
+    header = "time [s],x [mm],P_a2 [bar],F [N]"
+    path = folder / "fit_1bar.csv"
+    np.savetxt(path, table, delimiter=",", header=header, comments="")
+    (run,) = SETS["KDN seal"].read(tmp_path, "fit")
+    assert np.allclose(np.diff(run.t), 0.01)
+    assert np.allclose(run.u[:, 0], 5.0 * run.t) and np.allclose(run.y, 3.0 * run.t)
+    assert np.allclose(run.u[:, 1], 5.0, rtol=1e-6)  # the speed of a straight motion
+
+
+def test_the_half_of_the_arm_that_counts_is_not_the_one_fitted(tmp_path):
+    folder = tmp_path / SETS["robot arm"].folder
+    folder.mkdir()
+    table = np.arange(3072.0).reshape(1024, 3)
+    np.savetxt(folder / "log.csv", table, delimiter=",", header="u,p,x", comments="")
+    (fit,), (judged,) = (SETS["robot arm"].read(tmp_path, p) for p in ("fit", "check"))
+    assert fit.y.max() < judged.y[judged.first :].min()
