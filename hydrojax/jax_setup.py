@@ -19,6 +19,15 @@ FITS = f"{_OPTIONS}xla_cpu_use_multi_output_fusion=true"
 from computing a scan's body once per output. Not documented by XLA, and ignored by
 versions that do not know it."""
 
+OLDER = "--xla_cpu_use_fusion_emitters=false"
+"""Beside `FITS`: kernels are emitted in XLA's older way. In the newer one each is a module
+with a context of its own until all of a program are compiled: 1 GiB for a fit's, in place
+of 0.2, and it takes longer; what is compiled is as fast either way."""
+
+KNOWN = ((0, 7), (0, 11))
+"""Releases of jaxlib that know `OLDER`: these, and before the second. XLA ends the process
+at a flag that it does not know."""
+
 LOOPS = f"{_OPTIONS}xla_cpu_small_while_loop_byte_threshold=1000000000"
 """What closed loops run with: a whole scan becomes one function, in place of a launch
 per kernel and step. With fits' option beside it several outputs of a scan are copied
@@ -58,8 +67,11 @@ def set_up_jax(cache: Path | None = None, work: str = FITS) -> bool:
             stacklevel=2,
         )
     elif wanted:
-        mine = f"{work} {WIDE}" if work == LOOPS and _has_wide_vectors() else work
-        os.environ["XLA_FLAGS"] = f"{flags} {mine}".strip()
+        if work == FITS and _knows_older():
+            work = f"{work} {OLDER}"
+        elif work == LOOPS and _has_wide_vectors():
+            work = f"{work} {WIDE}"
+        os.environ["XLA_FLAGS"] = f"{flags} {work}".strip()
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -103,6 +115,12 @@ def _running() -> bool:
     from jax._src import xla_bridge
 
     return xla_bridge.backends_are_initialized()
+
+
+def _knows_older() -> bool:
+    import jaxlib.version
+
+    return KNOWN[0] <= jaxlib.version.__version_info__[:2] < KNOWN[1]
 
 
 def _has_wide_vectors() -> bool:
