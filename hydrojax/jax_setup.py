@@ -20,13 +20,13 @@ from computing a scan's body once per output. Not documented by XLA, and ignored
 versions that do not know it."""
 
 OLDER = "--xla_cpu_use_fusion_emitters=false"
-"""Beside `FITS`: kernels are emitted in XLA's older way. In the newer one each is a module
-with a context of its own until all of a program are compiled: 1 GiB for a fit's, in place
-of 0.2, and it takes longer; what is compiled is as fast either way."""
+"""Beside `FITS`: kernels are emitted in XLA's older way. In the newer one each is a
+module with a context of its own until all of a program are compiled: 1 GiB for a fit's,
+in place of 0.2, and it takes longer; what is compiled is as fast either way."""
 
 KNOWN = ((0, 7), (0, 11))
-"""Releases of jaxlib that know `OLDER`: these, and before the second. XLA ends the process
-at a flag that it does not know."""
+"""Releases of jaxlib that know `OLDER`: from the first on, and before the second. XLA
+ends the process at a flag that it does not know."""
 
 LOOPS = f"{_OPTIONS}xla_cpu_small_while_loop_byte_threshold=1000000000"
 """What closed loops run with: a whole scan becomes one function, in place of a launch
@@ -72,6 +72,8 @@ def set_up_jax(cache: Path | None = None, work: str = FITS) -> bool:
         elif work == LOOPS and _has_wide_vectors():
             work = f"{work} {WIDE}"
         os.environ["XLA_FLAGS"] = f"{flags} {work}".strip()
+    if "MALLOC_ARENA_MAX" not in os.environ:
+        share_pools()
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -171,6 +173,19 @@ def make_room(share: float = MAPPED, held: float = math.inf) -> bool:
     return True
 
 
+ARENAS = 2
+"""Pools from which the C library serves a process's threads. It opens one for each, and
+what threads of the compiler free in theirs stays there: 100 MiB of a trace's peak."""
+
+_M_ARENA_MAX = -8  # of malloc.h
+
+
+def share_pools(count: int = ARENAS) -> None:
+    """Have threads that begin from now on share so many of the C library's pools."""
+    with suppress(OSError, AttributeError):  # another C library has its own ways
+        ctypes.CDLL("libc.so.6").mallopt(_M_ARENA_MAX, count)
+
+
 def return_freed_memory() -> None:
     """Give back to the system what is free: the C library would keep some 400 MiB of
     what the compiler has freed for every program.
@@ -193,8 +208,8 @@ LONG_COMPILE = 1.0
 
 @functools.cache
 def _trim_after_compiling() -> None:
-    """From now on, give back what each long compilation has freed: without it the next
-    one starts from there, and a trace peaks at 3 GB in place of 1.8.
+    """From now on, give back what each long compilation has freed: the next one would
+    start from there.
     """
     import jax
 

@@ -36,7 +36,7 @@ def _pin() -> None:
 
 _pin()
 set_up_jax(CACHE_HOME / "hydrojax")
-jax_setup.HELD = 2**31  # tests take rigs of many structures by turns
+jax_setup.HELD = 2**30  # tests take rigs of many structures by turns
 
 GEOMETRY = {"area": 1.18e-3, "chamber_length": 0.2}
 

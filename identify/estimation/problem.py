@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain, count
 
 import jax
 import jax.numpy as jnp
@@ -102,15 +101,22 @@ class Problem:
         return self._holding(free, SPARE[-1:])
 
     def _holding(
-        self, free: Sequence[str], usual: Iterable[tuple[int, int]]
+        self, free: Sequence[str], usual: Sequence[tuple[int, int]]
     ) -> tuple[int, int]:
-        """The first of the usual columns, or of their doubles, that hold `free`."""
+        """The first of the usual columns, or of their doubles, that hold `free`.
+
+        Both sides grow together, so that few programs serve every fit; not where no
+        force is compared: hardly any but hydraulic ones are free there.
+        """
         need = (len(self.side(free, True)), len(self.side(free, False)))
         if len(self.free) == sum(self.declared):
             return self.declared
-        larger = ((SPARE[-1][0] << i, SPARE[-1][1] << i) for i in count(1))
-        sizes = (np.add(self.declared, spare) for spare in chain(usual, larger))
-        return next((int(a), int(b)) for a, b in sizes if need[0] <= a and need[1] <= b)
+        larger = ((usual[-1][0] << i, usual[-1][1] << i) for i in range(1, 8))
+        sizes = np.add(self.declared, [*usual, *larger])
+        first = np.argmax(sizes >= need, axis=0)
+        if np.isfinite(np.asarray(self.batch.noise)[2]):
+            first[:] = np.max(first)
+        return int(sizes[first[0], 0]), int(sizes[first[1], 1])
 
     def solve(
         self,

@@ -13,7 +13,7 @@ from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.afar import together
 from hydrojax.identify.tracing.judge import chance, cost, judge, negligible, worse
 from hydrojax.identify.tracing.refit import fit_from, refit
-from hydrojax.identify.tracing.rivals import reconsidered, with_look_alikes
+from hydrojax.identify.tracing.rivals import exchanged, pruned, with_look_alikes
 from hydrojax.identify.tracing.score import Score, family, worth_a_refit
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
@@ -52,23 +52,27 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
         one_by_one, at_once, noise, own.beyond_chance
     ):
         return found
-    several = reconsidered(several, effects, noise, fresh=0)
-    return _rounds(several, effects, noise)
+    return _rounds(pruned(several, noise, fresh=0), effects, noise)
 
 
 def _rounds(
     state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
 ) -> Tracing:
-    """Effects one by one, until none is left that helps."""
+    """Effects one by one, until none is left that helps, nor does better than one that
+    was added while others were still missing.
+    """
     for _ in range(state.criteria.rounds):
         known = {a.name for a in state.added}
         rest = {n: e for n, e in effects.items() if n not in known}
         scores = scores_of(state, rest, noise)
         state = replace(state, scores={**state.scores, **scores})
         more = _round(state, rest, scores, noise)
-        if len(more.added) == len(state.added):
-            return more
-        state = reconsidered(more, effects, noise)
+        if len(more.added) > len(state.added):
+            state = pruned(more, noise)
+            continue
+        state = exchanged(more, effects, noise)
+        if state is more:
+            break
     return state
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,32 +12,49 @@ from jaxtyping import Float
 from hydrojax.identify.tracing.judge import worse, worsened
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection
-from hydrojax.identify.tracing.screen import scores_of
+from hydrojax.identify.tracing.screen import scores_of, size_that_matters
 from hydrojax.identify.tracing.state import Tracing, free_names, strengths
 from hydrojax.plant.effect import Effect
 
 
-def reconsidered(
-    state: Tracing,
-    effects: Mapping[str, Effect],
-    noise: Float[np.ndarray, "3"],
-    fresh: int = 1,
-) -> Tracing:
-    """Let go of effects that the last ones made needless, and exchange one that a rival
-    does better than: an early pick was made while the others were still missing.
-    The last `fresh` are not questioned.
+def pruned(state: Tracing, noise: Float[np.ndarray, "3"], fresh: int = 1) -> Tracing:
+    """Let go of effects that the last ones made needless: an early pick was made while
+    the others were still missing. The last `fresh` are not questioned, nor those
+    without which the fit would plainly be worse.
     """
+    plain = state.criteria.plainly_needed * size_that_matters(state, noise)
     for name in [a.name for a in state.added[: len(state.added) - fresh]]:
+        if _contribution(state, name).rise > plain:
+            continue
         less = without(state, name, noise)
-        own, gone = (
-            s.check.rms(s.check.errors_at(s.point.values)) for s in (state, less)
-        )
+        own, gone = (_rms(s) for s in (state, less))
         if np.all(gone <= own + state.criteria.matters * noise):
             state.progress(f"let go of {name}")
             state = replace(less, tried={**less.tried, name: "needless"})
-        elif np.any((own > state.criteria.at_noise * noise)[np.isfinite(noise)]):
-            state = _exchanged(state, less, name, effects, noise)
     return state
+
+
+def exchanged(
+    state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
+) -> Tracing:
+    """The state, or with rivals in the place of effects that they do better than; where
+    all is at its noise already none is asked for. The last effect, if a round added it,
+    was compared there with all others present.
+    """
+    names = [a.name for a in state.added]
+    if names and state.tried.get(names[-1]) == "helps":
+        names.pop()
+    for name in names:
+        above = _rms(state) > state.criteria.at_noise * noise
+        if not np.any(above[np.isfinite(noise)]):
+            break
+        less = without(state, name, noise)
+        state = _exchanged(state, less, name, effects, noise)
+    return state
+
+
+def _rms(state: Tracing) -> Float[np.ndarray, "3"]:
+    return state.check.rms(state.check.errors_at(state.point.values))
 
 
 def without(state: Tracing, name: str, noise: Float[np.ndarray, "3"]) -> Tracing:
@@ -128,10 +146,23 @@ def with_look_alikes(state: Tracing) -> Tracing:
     return replace(state, added=tuple(added))
 
 
-def _near_parallel(state: Tracing, name: str) -> list[str]:
-    """Candidates whose columns, off all else that is fitted, can follow an effect's
-    own at the present fit: the closest first.
+class _Contribution(NamedTuple):
+    """What an effect does at the present fit, off all else that is fitted.
+
+    Attributes:
+        rise: of chi-square without it, were everything linear.
+        columns: of its strengths.
+        amount: how far these stand from zero, in units of the columns.
+        projection: the windows' Gram matrices with all else projected out.
     """
+
+    rise: float
+    columns: list[int]
+    amount: Float[np.ndarray, "columns"]
+    projection: Projection
+
+
+def _contribution(state: Tracing, name: str) -> _Contribution:
     problem, names = state.problem, list(state.problem.model.names)
     gram = np.array(problem.sums_at(state.point.values, state.point.weights).gram)
     own = set(free_names(state.effects[name]))
@@ -139,7 +170,16 @@ def _near_parallel(state: Tracing, name: str) -> list[str]:
     projection = Projection(gram, fitted, np.zeros(len(names)))
     mine = [names.index(n) for n in strengths(state.effects[name])]
     amount = state.point.values[mine] / problem.model.scale[mine]
-    size = float(amount @ projection.curvature(mine, mine) @ amount)
+    rise = float(amount @ projection.curvature(mine, mine) @ amount)
+    return _Contribution(rise, mine, amount, projection)
+
+
+def _near_parallel(state: Tracing, name: str) -> list[str]:
+    """Candidates whose columns, off all else that is fitted, can follow an effect's
+    own at the present fit: the closest first.
+    """
+    names = list(state.problem.model.names)
+    size, mine, amount, projection = _contribution(state, name)
     follows = {}
     for other, effect in state.effects.items():
         theirs = [names.index(n) for n in strengths(effect)]

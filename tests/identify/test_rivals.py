@@ -1,0 +1,75 @@
+"""Effects that were added, questioned again: a wrong one is exchanged, a needless one
+let go.
+
+The logs are the generator's, of a rig that leaks between its chambers; which effects
+were added is set by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hydrojax.identify import api
+from hydrojax.identify.case import open_case
+from hydrojax.identify.estimation.fit import fit_all
+from hydrojax.identify.tracing.rivals import exchanged, pruned
+from hydrojax.identify.tracing.state import Added, Tracing, free_names
+
+TRUE, WRONG = "internal_leakage", "external_leakage"
+NONE = np.full(3, np.nan)
+
+
+@pytest.fixture(scope="module")
+def leaking(recorded) -> Callable[..., Tracing]:
+    """The state of a trace that has added these effects, fitted, and what it says."""
+    folder = recorded(4, {TRUE: {}})
+    logs = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "validate")]
+    case = open_case(folder / "rig.toml", logs[:2], logs[2:])
+    problem, check, declared, effects = api._problems(case, [TRUE, WRONG, "valve_bias"])
+
+    def fitted(*names: str, progress: Callable[[str], None] = print) -> Tracing:
+        own = (n for name in names for n in free_names(effects[name]))
+        free = (*declared, *own)
+        found, point = fit_all(problem, problem.initial_values(), free)
+        added = tuple(Added(name, 0.0, NONE, NONE, ()) for name in names)
+        return Tracing(found, check, effects, free, point, progress, added)
+
+    return fitted
+
+
+def names_of(state: Tracing) -> list[str]:
+    return [a.name for a in state.added]
+
+
+@pytest.mark.slow
+def test_a_rival_that_does_better_takes_an_effects_place(leaking):
+    wrong = leaking(WRONG)
+    right = exchanged(wrong, wrong.effects, wrong.noise)
+    assert names_of(right) == [TRUE]
+    assert set(right.free) == set(leaking(TRUE).free)
+    after, before = (
+        s.check.rms(s.check.errors_at(s.point.values)) for s in (right, wrong)
+    )
+    assert np.all(after <= 1.1 * right.noise) and np.any(before > 1.5 * wrong.noise)
+    # Once all is at its noise nobody asks.
+    assert exchanged(right, right.effects, right.noise) is right
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [(WRONG, TRUE), (TRUE, WRONG)])
+def test_the_needless_one_of_two_is_let_go_and_the_other_not_even_tried(leaking, order):
+    said: list[str] = []
+    both = leaking(*order, progress=said.append)
+    left = pruned(both, both.noise, fresh=0)
+    assert names_of(left) == [TRUE]
+    assert left.tried == {WRONG: "needless"}
+    assert said == [f"refit without {WRONG}", f"let go of {WRONG}"]
+
+
+@pytest.mark.slow
+def test_the_last_one_is_not_questioned(leaking):
+    both = leaking(TRUE, WRONG)
+    assert pruned(both, both.noise) is both
