@@ -114,6 +114,10 @@ class Pressures(NamedTuple):
     by: tuple[Float[Array, "k windows ticks"], Float[Array, "k windows ticks"]]
 
 
+ABREAST = 2
+"""Derivatives of the spool's opening that are run at once: a fit moves few of what the
+command passes through, of some 15 that stand in a trace."""
+
 Opened = tuple[Float[Array, "ticks windows"], ...]
 """The spool's opening, as `Point` has it."""
 
@@ -129,32 +133,41 @@ def opened_along(
 ) -> tuple[Opened, OpenedBy]:
     """The spool's opening, and how it moves along hydraulic directions.
 
-    Only what the command passes through moves it: no other derivative is run, and none
-    where no direction moves any of that.
+    Only what the command passes through moves it: no other derivative is run, nor those
+    by what no direction moves. `ABREAST` of them run at once.
     """
     here = put(model.rig, model.names[: model.hydraulic], values[: model.hydraulic])
     names = tuple(f"{e.name}.{field}" for e in here.command for field in specs(e))
     opened, k = openings(here, w), hydraulic.shape[1]
-
-    def still() -> OpenedBy:
-        return jax.tree.map(lambda a: jnp.zeros((k, *a.shape)), opened)
-
     if not names or not k:
-        return opened, still()
+        return opened, jax.tree.map(lambda a: jnp.zeros((k, *a.shape)), opened)
     rows = hydraulic[np.array([model.names.index(name) for name in names])]
     at = get(here, names)
+    moves = jnp.any(rows != 0, axis=1)
+    first = jnp.argsort(~moves)  # what moves ahead of what does not
+    more = -len(names) % ABREAST
 
-    def moved(of):
-        return openings(put(here, names, of), w)
+    def in_parts(a):
+        padded = jnp.pad(a[first], ((0, more), *[(0, 0)] * (a.ndim - 1)))
+        return padded.reshape(-1, ABREAST, *a.shape[1:])
 
     def along(d):
-        return jax.jvp(moved, (at,), (d,))[1]
+        return jax.jvp(lambda of: openings(put(here, names, of), w), (at,), (d,))[1]
 
-    def moving() -> OpenedBy:
-        each = jax.vmap(along)(jnp.eye(len(names)))
-        return jax.tree.map(lambda a: jnp.tensordot(rows.T, a, axes=1), each)
+    def still() -> OpenedBy:
+        return jax.tree.map(lambda a: jnp.zeros((ABREAST, *a.shape)), opened)
 
-    return opened, jax.lax.cond(jnp.any(rows != 0), moving, still)
+    def part(of):
+        moves, each = of
+        return jax.lax.cond(jnp.any(moves), lambda: jax.vmap(along)(each), still)
+
+    by = jax.lax.map(part, (in_parts(moves), in_parts(jnp.eye(len(names)))))
+
+    def combined(a):
+        a = a.reshape(-1, *a.shape[2:])[: len(names)]
+        return jnp.tensordot(rows[first].T, a, axes=1)
+
+    return opened, jax.tree.map(combined, by)
 
 
 def driven_pressures(

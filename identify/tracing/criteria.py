@@ -74,7 +74,7 @@ class Criteria:
     outdone: float = 5.0
     """Times what the best start leaves of the balances from which another candidate is
     not refitted once the best has helped, 1: time. `benchmarks.trace`."""
-    plainly_needed: float = 100.0
+    plainly_needed: float = 10.0
     """Rise of chi-square that the sums predict without an effect that was added, over
     that of a change that matters, from which the fit is not tried without it, 1: time.
     `benchmarks.trace`."""
