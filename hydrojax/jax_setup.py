@@ -45,7 +45,8 @@ def set_up_jax(cache: Path | None = None, work: str = FITS) -> bool:
     """Double precision, the CPU settings for a kind of work, and a cache of programs.
 
     Call it before anything else uses JAX. The command line does. Options of the same
-    kind that stand in `XLA_FLAGS` already are left alone.
+    kind that stand in `XLA_FLAGS` already are left alone. From then on threads share
+    two of the C library's pools (see `share_pools`), unless `MALLOC_ARENA_MAX` is set.
 
     Args:
         cache: folder for compiled programs, cut to `CACHED` first; None keeps none.

@@ -65,6 +65,30 @@ def test_too_late_is_said_and_the_rest_holds():
     assert said.startswith("False JAX is running already") and said.endswith("True")
 
 
+POOLS = """
+import ctypes, threading
+from hydrojax.jax_setup import set_up_jax
+set_up_jax()
+libc, together = ctypes.CDLL("libc.so.6"), threading.Barrier(8)
+libc.malloc.restype = ctypes.c_void_p
+def work():
+    together.wait()
+    libc.malloc(1000)
+    together.wait()
+threads = [threading.Thread(target=work) for _ in range(8)]
+[t.start() for t in threads]
+[t.join() for t in threads]
+libc.malloc_info(0, ctypes.c_void_p.in_dll(libc, "stdout"))
+libc.fflush(None)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks glibc")
+def test_threads_share_the_c_librarys_pools_unless_the_user_says_how_many():
+    assert python(POOLS).count("<heap nr") == jax_setup.ARENAS
+    assert python(POOLS, MALLOC_ARENA_MAX="5").count("<heap nr") == 5
+
+
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 33, 90, 180, 296, 23_499, 80_001])
 def test_buckets_hold_what_is_put_in_and_waste_little(count):
     for least in (1, 8):
