@@ -9,8 +9,10 @@ import math
 import os
 import sys
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 _OPTIONS = "--xla_backend_extra_options="
 
@@ -18,15 +20,6 @@ FITS = f"{_OPTIONS}xla_cpu_use_multi_output_fusion=true"
 """What replays, their Jacobians and all that fits run with: keeps XLA's CPU compiler
 from computing a scan's body once per output. Not documented by XLA, and ignored by
 versions that do not know it."""
-
-OLDER = "--xla_cpu_use_fusion_emitters=false"
-"""Beside `FITS`: kernels are emitted in XLA's older way. In the newer one each is a
-module with a context of its own until all of a program are compiled: 1 GiB for a fit's,
-in place of 0.2, and it takes longer; what is compiled is as fast either way."""
-
-KNOWN = ((0, 7), (0, 11))
-"""Releases of jaxlib that know `OLDER`: from the first on, and before the second. XLA
-ends the process at a flag that it does not know."""
 
 LOOPS = f"{_OPTIONS}xla_cpu_small_while_loop_byte_threshold=1000000000"
 """What closed loops run with: a whole scan becomes one function, in place of a launch
@@ -68,11 +61,8 @@ def set_up_jax(cache: Path | None = None, work: str = FITS) -> bool:
             stacklevel=2,
         )
     elif wanted:
-        if work == FITS and _knows_older():
-            work = f"{work} {OLDER}"
-        elif work == LOOPS and _has_wide_vectors():
-            work = f"{work} {WIDE}"
-        os.environ["XLA_FLAGS"] = f"{flags} {work}".strip()
+        mine = f"{work} {WIDE}" if work == LOOPS and _has_wide_vectors() else work
+        os.environ["XLA_FLAGS"] = f"{flags} {mine}".strip()
     if "MALLOC_ARENA_MAX" not in os.environ:
         share_pools()
     import jax
@@ -120,17 +110,52 @@ def _running() -> bool:
     return xla_bridge.backends_are_initialized()
 
 
-def _knows_older() -> bool:
-    import jaxlib.version
-
-    return KNOWN[0] <= jaxlib.version.__version_info__[:2] < KNOWN[1]
-
-
 def _has_wide_vectors() -> bool:
     try:
         return " avx512f " in Path("/proc/cpuinfo").read_text()
     except OSError:
         return False
+
+
+OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
+"""For XLA's CPU compiler, of programs in which much is fused. Its fusion emitters keep
+a module for each kernel until all are compiled, 1 GiB for a fit's in place of 0.2, and
+take longer; on some Jacobians of a loop's step they abort the whole process (a failed
+check in `SymbolicMap::Compose`, jax 0.10.2). Not for all programs: without them a loop
+that no option of `LOOPS` keeps whole takes minutes to compile."""
+
+
+@functools.cache
+def options() -> dict[str, Any] | None:
+    """`OPTIONS`, or None where there is no such compiler or it does not know them."""
+    import jax
+
+    if jax.default_backend() != "cpu":
+        return None
+    try:
+        jax.jit(lambda x: x + 1, compiler_options=OPTIONS)(1.0)
+    except Exception:  # XLA's own kinds, by version
+        return None
+    return OPTIONS
+
+
+def program(
+    f: Callable[..., Any], jit: Callable[..., Any] | None = None, **more: Any
+) -> Callable[..., Any]:
+    """`jit` of a function (None is `jax.jit`) with `OPTIONS`, found out about at the
+    first call.
+    """
+    made: list[Callable[..., Any]] = []
+
+    @functools.wraps(f)
+    def call(*args: Any, **named: Any) -> Any:
+        if not made:
+            import jax
+
+            made.append((jit or jax.jit)(f, compiler_options=options(), **more))
+        return made[0](*args, **named)
+
+    return call
 
 
 MAPPED = 0.25

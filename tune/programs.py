@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hydrojax.control.loop import Scenario, run
+from hydrojax.jax_setup import program
 from hydrojax.parameters import put
 from hydrojax.rigfile.quantities import Quantity, Setting
 from hydrojax.tune import linearize, operating_point
-from hydrojax.tune.program import program
 
 KEEP = ("true_F", "u")
 """Signals of a run: the output force, N, and the command."""

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from hydrojax.jax_setup import cores, make_room
+from hydrojax.jax_setup import cores, make_room, program
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import linearize, measure, metrics, operating_point
 from hydrojax.tune.chunks import Chunks
 from hydrojax.tune.dataset import dataset
+from hydrojax.tune.devices import on_all_devices
 from hydrojax.tune.plan import Plan, chunk_size, tag_of
-from hydrojax.tune.program import on_all_devices, program
 
 Progress = Callable[[int, int], None]
 """Called with the cells that are done, and their total number."""

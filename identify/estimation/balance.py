@@ -30,6 +30,7 @@ from hydrojax.identify.estimation.columns import (
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.sensitivity import opened_along
 from hydrojax.identify.estimation.starts import placed, thinned
+from hydrojax.jax_setup import program
 from hydrojax.parameters import put
 from hydrojax.plant.imbalance import imbalance_behind
 
@@ -186,7 +187,7 @@ def _weight(batch: Batch) -> Float[np.ndarray, "rows ticks"]:
     return out
 
 
-@eqx.filter_jit
+@partial(program, jit=eqx.filter_jit)
 def _run(
     model: ParametricRig,
     values: Float[Array, "n"],

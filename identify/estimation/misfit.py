@@ -31,6 +31,7 @@ from hydrojax.identify.estimation.sensitivity import (
     sensitivities,
 )
 from hydrojax.identify.estimation.solve import Fit, minimise
+from hydrojax.jax_setup import program
 from hydrojax.parameters import put
 from hydrojax.plant.replay import pressures
 
@@ -212,7 +213,7 @@ def _gram(
     return total + rows.T @ rows, at._replace(gram=at.gram[:, :0])
 
 
-@eqx.filter_jit
+@partial(program, jit=eqx.filter_jit)
 def run_fit(
     model: ParametricRig,
     values: Float[Array, "n"],
@@ -232,7 +233,7 @@ def run_fit(
     return minimise(gram, jnp.zeros_like(lower), lower, upper)
 
 
-@eqx.filter_jit
+@partial(program, jit=eqx.filter_jit)
 def run_sums(
     model: ParametricRig,
     values: Float[Array, "n"],
@@ -244,7 +245,7 @@ def run_sums(
     return sums(model, values, directions, batch, simulate)
 
 
-@eqx.filter_jit
+@partial(program, jit=eqx.filter_jit)
 def run_leftover(
     model: ParametricRig, values: Float[Array, "n"], batch: Batch, simulate: bool
 ) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "windows 2"]]:
@@ -252,7 +253,7 @@ def run_leftover(
     return leftover(model, values, batch, simulate)
 
 
-@eqx.filter_jit
+@partial(program, jit=eqx.filter_jit)
 def run_pressures(
     model: ParametricRig, values: Float[Array, "n"], batch: Batch
 ) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
@@ -261,7 +262,7 @@ def run_pressures(
     return pressures(rig, batch.windows, jnp.asarray(batch.P_0))
 
 
-@eqx.filter_jit
+@partial(program, jit=eqx.filter_jit)
 def run_starts(
     model: ParametricRig,
     values: Float[Array, "n"],

@@ -5,6 +5,7 @@ plant: the value held as a run began, and a linear autoregressive model (ARX).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -16,6 +17,7 @@ from hydrojax.identify.estimation.columns import Batch, ParametricRig, filled
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import Horizon
+from hydrojax.jax_setup import program
 from hydrojax.parameters import put
 from hydrojax.plant.replay import friction_memory, pressures, readings
 
@@ -112,7 +114,7 @@ def _runs(
     return np.concatenate([own[None], problem.batch.windows.measured - out])
 
 
-@eqx.filter_jit
+@partial(program, jit=eqx.filter_jit)
 def _run_on(
     model: ParametricRig,
     values: Float[Array, "n"],

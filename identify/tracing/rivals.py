@@ -24,7 +24,7 @@ def pruned(state: Tracing, noise: Float[np.ndarray, "3"], fresh: int = 1) -> Tra
     """
     plain = state.criteria.plainly_needed * size_that_matters(state, noise)
     for name in [a.name for a in state.added[: len(state.added) - fresh]]:
-        if _contribution(state, name).rise > plain:
+        if _contribution(state, name, noise).rise > plain:
             continue
         less = without(state, name, noise)
         own, gone = (_rms(s) for s in (state, less))
@@ -48,8 +48,13 @@ def exchanged(
         above = _rms(state) > state.criteria.at_noise * noise
         if not np.any(above[np.isfinite(noise)]):
             break
-        less = without(state, name, noise)
-        state = _exchanged(state, less, name, effects, noise)
+        known = {a.name for a in state.added}
+        follows = _follows(state, name, noise)
+        near = [n for n in follows if follows[n] > state.criteria.stands_in**2]
+        rivals = {n: effects[n] for n in near if n in effects and n not in known}
+        if rivals:
+            less = without(state, name, noise)
+            state = _exchanged(state, less, name, rivals, noise)
     return state
 
 
@@ -75,23 +80,21 @@ def _exchanged(
     state: Tracing,
     less: Tracing,
     name: str,
-    effects: Mapping[str, Effect],
+    rivals: Mapping[str, Effect],
     noise: Float[np.ndarray, "3"],
 ) -> Tracing:
     """The state, or with a rival in an effect's place: the one of the largest gain
     that has a smaller validation error beyond chance. `less` lacks the effect.
     """
     criteria = state.criteria
-    known = {a.name for a in state.added}
-    rest = {n: e for n, e in effects.items() if n not in known or n == name}
-    scores = scores_of(less, rest, noise)
+    scores = scores_of(less, {**rivals, name: state.effects[name]}, noise)
     order = sorted(scores.values(), key=lambda s: -s.gain)
-    enough = criteria.rival * scores[name].gain if name in scores else 0.0
-    rivals = [s for s in order if s.name != name and s.gain > max(enough, 0.0)]
+    enough = max(criteria.rival * scores[name].gain, 0.0)
+    best = [s for s in order if s.name != name and s.gain > enough]
     own = state.check.errors_at(state.point.values)
-    for s in rivals[: criteria.rivals]:
+    for s in best[: criteria.rivals]:
         less.progress(f"refit with {s.name} in place of {name}")
-        problem, point = refit(less, effects[s.name], s, noise)
+        problem, point = refit(less, rivals[s.name], s, noise)
         after = less.check.errors_at(point.values)
         if not worse(own, after, noise, criteria.beyond_chance):
             continue
@@ -105,7 +108,7 @@ def _exchanged(
             else a
             for a in state.added
         )
-        free = (*less.free, *free_names(effects[s.name]))
+        free = (*less.free, *free_names(rivals[s.name]))
         state = replace(
             state,
             problem=problem,
@@ -131,7 +134,8 @@ def with_look_alikes(state: Tracing) -> Tracing:
     told = set(state.tried) if len(state.added) == 1 else set()
     added = []
     for a in state.added:
-        near = _near_parallel(state, a.name)
+        follows = _follows(state, a.name, noise)
+        near = [n for n in follows if follows[n] > criteria.near_parallel**2]
         near = [n for n in near if n not in {*known, *told, *a.cannot_tell_from}]
         alike = list(a.cannot_tell_from)
         less = without(state, a.name, noise) if near else state
@@ -162,9 +166,12 @@ class _Contribution(NamedTuple):
     projection: Projection
 
 
-def _contribution(state: Tracing, name: str) -> _Contribution:
+def _contribution(
+    state: Tracing, name: str, noise: Float[np.ndarray, "3"]
+) -> _Contribution:
     problem, names = state.problem, list(state.problem.model.names)
-    gram = np.array(problem.sums_at(state.point.values, state.point.weights).gram)
+    weights = np.where(np.isfinite(noise), state.point.weights, np.inf)
+    gram = np.array(problem.sums_at(state.point.values, weights).gram)
     own = set(free_names(state.effects[name]))
     fitted = [names.index(n) for n in state.free if n not in own]
     projection = Projection(gram, fitted, np.zeros(len(names)))
@@ -174,12 +181,14 @@ def _contribution(state: Tracing, name: str) -> _Contribution:
     return _Contribution(rise, mine, amount, projection)
 
 
-def _near_parallel(state: Tracing, name: str) -> list[str]:
-    """Candidates whose columns, off all else that is fitted, can follow an effect's
-    own at the present fit: the closest first.
+def _follows(
+    state: Tracing, name: str, noise: Float[np.ndarray, "3"]
+) -> dict[str, float]:
+    """How much of what an effect does at the present fit, off all else that is fitted,
+    a candidate's columns can follow: a share of its squares, the largest first.
     """
     names = list(state.problem.model.names)
-    size, mine, amount, projection = _contribution(state, name)
+    size, mine, amount, projection = _contribution(state, name, noise)
     follows = {}
     for other, effect in state.effects.items():
         theirs = [names.index(n) for n in strengths(effect)]
@@ -190,5 +199,4 @@ def _near_parallel(state: Tracing, name: str) -> list[str]:
         cross = projection.curvature(theirs, mine) @ amount
         H = H + 1e-9 * np.diag(np.diag(H))
         follows[other] = float(cross @ np.linalg.solve(H, cross)) / size
-    order = sorted(follows, key=lambda n: -follows[n])
-    return [n for n in order if follows[n] > state.criteria.near_parallel**2]
+    return dict(sorted(follows.items(), key=lambda f: -f[1]))

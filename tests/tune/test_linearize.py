@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
+from hydrojax.jax_setup import program
 from hydrojax.paper.records import reference
 from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.tune import linearize, measure, metrics, operating_point
-from hydrojax.tune.program import program
 
 SPEC, _ = reference()
 OMEGA, ZETA = 1257.0, 0.7
