@@ -83,10 +83,6 @@ class Criteria:
     over that effect's own gain there, 1: a score is linear, and misjudges that much."""
     rivals: int = 2
     """Such candidates that are refitted for each effect, count: time."""
-    stands_in: float = 0.5
-    """Cosine of projected columns from which a candidate is tried in the place of an
-    effect that was added, 1: below, it does not do a quarter of what that does. Time;
-    `benchmarks.trace`."""
     near_parallel: float = 0.9
     """Cosine of projected columns from which a candidate may be taken for an effect, 1:
     below, it leaves more than `fair_share` of what the effect explains (1 - 0.9^2)."""

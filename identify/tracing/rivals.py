@@ -49,12 +49,9 @@ def exchanged(
         if not np.any(above[np.isfinite(noise)]):
             break
         known = {a.name for a in state.added}
-        follows = _follows(state, name, noise)
-        near = [n for n in follows if follows[n] > state.criteria.stands_in**2]
-        rivals = {n: effects[n] for n in near if n in effects and n not in known}
-        if rivals:
-            less = without(state, name, noise)
-            state = _exchanged(state, less, name, rivals, noise)
+        rivals = {n: e for n, e in effects.items() if n not in known}
+        less = without(state, name, noise)
+        state = _exchanged(state, less, name, rivals, noise)
     return state
 
 
