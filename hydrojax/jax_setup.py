@@ -38,8 +38,8 @@ def set_up_jax(cache: Path | None = None, work: str = FITS) -> bool:
     """Double precision, the CPU settings for a kind of work, and a cache of programs.
 
     Call it before anything else uses JAX. The command line does. Options of the same
-    kind that stand in `XLA_FLAGS` already are left alone. From then on threads share
-    two of the C library's pools (see `share_pools`), unless `MALLOC_ARENA_MAX` is set.
+    kind that stand in `XLA_FLAGS` already are left alone. Threads then
+    share two malloc arenas (see `ARENAS`), unless `MALLOC_ARENA_MAX` is set.
 
     Args:
         cache: folder for compiled programs, cut to `CACHED` first; None keeps none.
@@ -64,7 +64,7 @@ def set_up_jax(cache: Path | None = None, work: str = FITS) -> bool:
         mine = f"{work} {WIDE}" if work == LOOPS and _has_wide_vectors() else work
         os.environ["XLA_FLAGS"] = f"{flags} {mine}".strip()
     if "MALLOC_ARENA_MAX" not in os.environ:
-        share_pools()
+        limit_arenas()
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -118,11 +118,11 @@ def _has_wide_vectors() -> bool:
 
 
 OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
-"""For XLA's CPU compiler, of programs in which much is fused. Its fusion emitters keep
-a module for each kernel until all are compiled, 1 GiB for a fit's in place of 0.2, and
-take longer; on some Jacobians of a loop's step they abort the whole process (a failed
-check in `SymbolicMap::Compose`, jax 0.10.2). Not for all programs: without them a loop
-that no option of `LOOPS` keeps whole takes minutes to compile."""
+"""Compiler options for XLA on a CPU, of programs that fuse much. Its fusion emitters
+keep a module for each kernel until all are compiled, which made a trace's peak 2.4 GiB
+(now 1.3, `python -m benchmarks.memory`), and abort the process on some Jacobians of a
+loop's step (a failed check in `SymbolicMap::Compose`, jax 0.10.2). Not for all:
+a loop that no option of `LOOPS` keeps whole takes minutes to compile without them."""
 
 
 @functools.cache
@@ -142,8 +142,14 @@ def options() -> dict[str, Any] | None:
 def program(
     f: Callable[..., Any], jit: Callable[..., Any] | None = None, **more: Any
 ) -> Callable[..., Any]:
-    """`jit` of a function (None is `jax.jit`) with `OPTIONS`, found out about at the
-    first call.
+    """A function compiled with `OPTIONS`, where the compiler knows them.
+
+    That is found out at the first call: JAX starts its devices for it.
+
+    Args:
+        f: the function.
+        jit: what compiles it, `jax.jit` if None.
+        more: further arguments of `jit`.
     """
     made: list[Callable[..., Any]] = []
 
@@ -200,15 +206,17 @@ def make_room(share: float = MAPPED, held: float = math.inf) -> bool:
 
 
 ARENAS = 2
-"""Pools from which the C library serves a process's threads. It opens one for each, and
-what threads of the compiler free in theirs stays there: 100 MiB of a trace's peak."""
+"""Arenas of glibc's malloc. By default it opens one for each thread, and what the
+compiler's threads free in theirs stays there."""
 
 _M_ARENA_MAX = -8  # of malloc.h
 
 
-def share_pools(count: int = ARENAS) -> None:
-    """Have threads that begin from now on share so many of the C library's pools."""
-    with suppress(OSError, AttributeError):  # another C library has its own ways
+def limit_arenas(count: int = ARENAS) -> None:
+    """Have threads that begin from now on share so many of malloc's arenas; where the C
+    library is not glibc nothing changes.
+    """
+    with suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").mallopt(_M_ARENA_MAX, count)
 
 

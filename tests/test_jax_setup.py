@@ -65,7 +65,7 @@ def test_too_late_is_said_and_the_rest_holds():
     assert said.startswith("False JAX is running already") and said.endswith("True")
 
 
-POOLS = """
+ARENAS = """
 import ctypes, threading
 from hydrojax.jax_setup import set_up_jax
 set_up_jax()
@@ -84,9 +84,9 @@ libc.fflush(None)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks glibc")
-def test_threads_share_the_c_librarys_pools_unless_the_user_says_how_many():
-    assert python(POOLS).count("<heap nr") == jax_setup.ARENAS
-    assert python(POOLS, MALLOC_ARENA_MAX="5").count("<heap nr") == 5
+def test_threads_share_mallocs_arenas_unless_the_user_says_how_many():
+    assert python(ARENAS).count("<heap nr") == jax_setup.ARENAS
+    assert python(ARENAS, MALLOC_ARENA_MAX="5").count("<heap nr") == 5
 
 
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 33, 90, 180, 296, 23_499, 80_001])

@@ -115,8 +115,9 @@ class Pressures(NamedTuple):
 
 
 ABREAST = 2
-"""Derivatives of the spool's opening that are run at once: a fit moves few of what the
-command passes through, of some 15 that stand in a trace."""
+"""Derivatives of the spool's opening that are run at once: a fit moves a few of the 15
+or so parameters that the command passes through in a trace, and each run takes the
+opening itself along."""
 
 Opened = tuple[Float[Array, "ticks windows"], ...]
 """The spool's opening, as `Point` has it."""
@@ -158,8 +159,8 @@ def opened_along(
         return jax.tree.map(lambda a: jnp.zeros((ABREAST, *a.shape)), opened)
 
     def part(of):
-        moves, each = of
-        return jax.lax.cond(jnp.any(moves), lambda: jax.vmap(along)(each), still)
+        moved, each = of
+        return jax.lax.cond(jnp.any(moved), lambda: jax.vmap(along)(each), still)
 
     by = jax.lax.map(part, (in_parts(moves), in_parts(jnp.eye(len(names)))))
 

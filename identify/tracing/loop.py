@@ -61,12 +61,8 @@ def _rounds(
     """Effects one by one, until none is left that helps, nor does better than one that
     was added while others were still missing.
     """
-    for _ in range(state.criteria.rounds):
-        known = {a.name for a in state.added}
-        rest = {n: e for n, e in effects.items() if n not in known}
-        scores = scores_of(state, rest, noise)
-        state = replace(state, scores={**state.scores, **scores})
-        more = _round(state, rest, scores, noise)
+    for left in reversed(range(state.criteria.rounds + 1)):
+        more = _scored_round(state, effects, noise) if left else state
         if len(more.added) > len(state.added):
             state = pruned(more, noise)
             continue
@@ -74,6 +70,17 @@ def _rounds(
         if state is more:
             break
     return state
+
+
+def _scored_round(
+    state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
+) -> Tracing:
+    """The state with one effect more, if one of those not yet added helps."""
+    known = {a.name for a in state.added}
+    rest = {n: e for n, e in effects.items() if n not in known}
+    scores = scores_of(state, rest, noise)
+    state = replace(state, scores={**state.scores, **scores})
+    return _round(state, rest, scores, noise)
 
 
 def _errors(state: Tracing) -> np.ndarray:

@@ -22,15 +22,20 @@ def pruned(state: Tracing, noise: Float[np.ndarray, "3"], fresh: int = 1) -> Tra
     the others were still missing. The last `fresh` are not questioned, nor those
     without which the fit would plainly be worse.
     """
+    names = [a.name for a in state.added[: len(state.added) - fresh]]
+    if not names:
+        return state
     plain = state.criteria.plainly_needed * size_that_matters(state, noise)
-    for name in [a.name for a in state.added[: len(state.added) - fresh]]:
-        if _contribution(state, name, noise).rise > plain:
+    gram = _gram(state, noise)
+    for name in names:
+        if _contribution(state, name, gram).rise > plain:
             continue
         less = without(state, name, noise)
         own, gone = (_rms(s) for s in (state, less))
         if np.all(gone <= own + state.criteria.matters * noise):
             state.progress(f"let go of {name}")
             state = replace(less, tried={**less.tried, name: "needless"})
+            gram = _gram(state, noise)
     return state
 
 
@@ -38,8 +43,8 @@ def exchanged(
     state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
 ) -> Tracing:
     """The state, or with rivals in the place of effects that they do better than; where
-    all is at its noise already none is asked for. The last effect, if a round added it,
-    was compared there with all others present.
+    all is at its noise already none is tried. Nor is the last effect questioned, if a
+    round added it: it was compared there with all others present.
     """
     names = [a.name for a in state.added]
     if names and state.tried.get(names[-1]) == "helps":
@@ -125,14 +130,15 @@ def with_look_alikes(state: Tracing) -> Tracing:
     is put in the effect's place and fitted; the two cannot be told apart where its
     validation error is not larger beyond chance.
     """
+    if not state.added:
+        return state
     noise, criteria = state.noise, state.criteria
-    own = state.check.errors_at(state.point.values)
+    own, gram = state.check.errors_at(state.point.values), _gram(state, noise)
     known = {a.name for a in state.added}
     told = set(state.tried) if len(state.added) == 1 else set()
     added = []
     for a in state.added:
-        follows = _follows(state, a.name, noise)
-        near = [n for n in follows if follows[n] > criteria.near_parallel**2]
+        near = _near_parallel(state, a.name, gram)
         near = [n for n in near if n not in {*known, *told, *a.cannot_tell_from}]
         alike = list(a.cannot_tell_from)
         less = without(state, a.name, noise) if near else state
@@ -163,12 +169,17 @@ class _Contribution(NamedTuple):
     projection: Projection
 
 
-def _contribution(
-    state: Tracing, name: str, noise: Float[np.ndarray, "3"]
-) -> _Contribution:
-    problem, names = state.problem, list(state.problem.model.names)
+Gram = Float[np.ndarray, "windows rows rows"]
+
+
+def _gram(state: Tracing, noise: Float[np.ndarray, "3"]) -> Gram:
+    """The windows' Gram matrices at the present fit."""
     weights = np.where(np.isfinite(noise), state.point.weights, np.inf)
-    gram = np.array(problem.sums_at(state.point.values, weights).gram)
+    return np.array(state.problem.sums_at(state.point.values, weights).gram)
+
+
+def _contribution(state: Tracing, name: str, gram: Gram) -> _Contribution:
+    problem, names = state.problem, list(state.problem.model.names)
     own = set(free_names(state.effects[name]))
     fitted = [names.index(n) for n in state.free if n not in own]
     projection = Projection(gram, fitted, np.zeros(len(names)))
@@ -178,14 +189,12 @@ def _contribution(
     return _Contribution(rise, mine, amount, projection)
 
 
-def _follows(
-    state: Tracing, name: str, noise: Float[np.ndarray, "3"]
-) -> dict[str, float]:
-    """How much of what an effect does at the present fit, off all else that is fitted,
-    a candidate's columns can follow: a share of its squares, the largest first.
+def _near_parallel(state: Tracing, name: str, gram: Gram) -> list[str]:
+    """Candidates whose columns, off all else that is fitted, can follow an effect's
+    own at the present fit: the closest first.
     """
     names = list(state.problem.model.names)
-    size, mine, amount, projection = _contribution(state, name, noise)
+    size, mine, amount, projection = _contribution(state, name, gram)
     follows = {}
     for other, effect in state.effects.items():
         theirs = [names.index(n) for n in strengths(effect)]
@@ -196,4 +205,5 @@ def _follows(
         cross = projection.curvature(theirs, mine) @ amount
         H = H + 1e-9 * np.diag(np.diag(H))
         follows[other] = float(cross @ np.linalg.solve(H, cross)) / size
-    return dict(sorted(follows.items(), key=lambda f: -f[1]))
+    order = sorted(follows, key=lambda n: -follows[n])
+    return [n for n in order if follows[n] > state.criteria.near_parallel**2]
