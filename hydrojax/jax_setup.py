@@ -8,11 +8,14 @@ import gc
 import math
 import os
 import sys
+import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 _OPTIONS = "--xla_backend_extra_options="
 
@@ -139,17 +142,14 @@ def options() -> dict[str, Any] | None:
     return OPTIONS
 
 
-def program(
-    f: Callable[..., Any], jit: Callable[..., Any] | None = None, **more: Any
-) -> Callable[..., Any]:
+def program(f: Callable[..., Any], **more: Any) -> Callable[..., Any]:
     """A function compiled with `OPTIONS`, where the compiler knows them.
 
     That is found out at the first call: JAX starts its devices for it.
 
     Args:
         f: the function.
-        jit: what compiles it, `jax.jit` if None.
-        more: further arguments of `jit`.
+        more: further arguments of `jax.jit`.
     """
     made: list[Callable[..., Any]] = []
 
@@ -158,10 +158,63 @@ def program(
         if not made:
             import jax
 
-            made.append((jit or jax.jit)(f, compiler_options=options(), **more))
+            made.append(jax.jit(f, compiler_options=options(), **more))
         return made[0](*args, **named)
 
     return call
+
+
+_STRUCTURES: list[dict[Hashable, Callable[..., Any]]] = []
+
+
+def program_of_pytrees(f: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of any pytrees compiled once for every structure of them, with
+    `OPTIONS`: arrays are its inputs, all else in them is fixed. It returns arrays.
+
+    What JAX traced is let go of once it is compiled: for a fit's program that is a
+    third of what the process would hold. It can therefore not be transformed further.
+
+    Args:
+        f: the function.
+    """
+    made: dict[Hashable, Callable[..., Any]] = {}
+    _STRUCTURES.append(made)
+    one = threading.Lock()  # two threads that want the same program compile it once
+
+    @functools.wraps(f)
+    def call(*args: Any) -> Any:
+        import jax
+
+        leaves, tree = jax.tree.flatten(args)
+        moves = [isinstance(a, np.ndarray | np.generic | jax.Array) for a in leaves]
+        arrays = [a for a, m in zip(leaves, moves, strict=True) if m]
+        fixed = [None if m else a for a, m in zip(leaves, moves, strict=True)]
+        key = (
+            tree,
+            *((type(a), a) for a in fixed),
+            *((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in arrays),
+        )
+        with one:
+            if key not in made:
+                made[key] = _compiled(f, tree, fixed, moves, arrays)
+        return made[key](arrays)
+
+    return call
+
+
+def _compiled(
+    f: Callable[..., Any], tree: Any, fixed: list, moves: list[bool], arrays: list
+) -> Callable[..., Any]:
+    import jax
+
+    # JAX keeps what it traced for as long as the function lives: this one is not kept.
+    def once(arrays: list) -> Any:
+        given = iter(arrays)
+        leaves = [next(given) if m else a for m, a in zip(moves, fixed, strict=True)]
+        return f(*jax.tree.unflatten(tree, leaves))
+
+    once.__name__ = f.__name__
+    return jax.jit(once, compiler_options=options()).lower(arrays).compile()
 
 
 MAPPED = 0.25
@@ -200,6 +253,8 @@ def make_room(share: float = MAPPED, held: float = math.inf) -> bool:
     import jax
 
     jax.clear_caches()
+    for made in _STRUCTURES:
+        made.clear()
     gc.collect()
     return_freed_memory()
     return True

@@ -19,9 +19,11 @@ from hydrojax.identify.estimation.balance import balanced
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
+    fit_all,
     fit_force,
     fit_jointly,
     fit_pressures,
+    in_short,
     reweighted,
 )
 from hydrojax.identify.estimation.known import COULOMB, free_effect, free_parameters
@@ -183,14 +185,14 @@ def trace_case(
         for job in ahead:
             job.result()
     start = Tracing(
-        early,
+        in_short(early),
         check,
         effects,
         free,
         replace(point, values=values),
         progress,
     )
-    state = _searched(case, search_effects(start))
+    state = _on_all(done, _searched(case, search_effects(start)))
     found = _outcome("trace", case, state, point, began, compiled, progress, profile)
     return with_inputs(found, inputs.result().found)
 
@@ -233,6 +235,16 @@ def _with_noise_found(case: Case, state: Tracing) -> Tracing:
     weights = reweighted(noise, rms, state.criteria.reweighted_above)
     problem, point = fit_jointly(problem, state.point.values, state.free, weights)
     return replace(state, problem=problem, check=check, point=point)
+
+
+def _on_all(problem: Problem, state: Tracing) -> Tracing:
+    """The state fitted on all windows, where effects were looked for on some."""
+    if len(state.problem.batch.P_0) == len(problem.batch.P_0):
+        return state
+    state.progress("fit to all windows")
+    problem = replace(problem, batch=problem.batch._replace(noise=state.noise))
+    problem, point = fit_all(problem, state.point.values, state.free)
+    return replace(state, problem=problem, point=point)
 
 
 class _Compiling:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import subprocess
 import sys
+import weakref
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -154,6 +158,37 @@ def test_logs_of_another_length_and_rig_compile_nothing(recorded, tmp_path, comp
     compiled.clear()
     api.identify(cut(recorded(6), tmp_path / "other", 450), starts=1)
     assert compiled == []
+
+
+def test_a_program_of_pytrees_is_compiled_once_for_each_structure():
+    """Two threads that want it at once wait for one; what it was traced from goes."""
+    traced: list[weakref.ref] = []
+
+    @jax_setup.program_of_pytrees
+    def weighed(parts, squared: bool):
+        traced.append(weakref.ref(parts["a"]))
+        total = parts["a"] * parts["factor"] + jnp.sum(parts["b"])
+        return {"total": total**2 if squared else total}
+
+    def parts(factor: float, n: int = 3):
+        return {"a": np.full(n, 2.0), "b": jnp.ones(4), "factor": factor}
+
+    with ThreadPoolExecutor(2) as pool:
+        both = list(pool.map(lambda f: weighed(parts(f), False), (3.0, 3.0)))
+    for out in both:
+        np.testing.assert_array_equal(out["total"], np.full(3, 10.0))
+    assert len(traced) == 1
+    np.testing.assert_array_equal(weighed(parts(3.0), True)["total"], [100.0] * 3)
+    np.testing.assert_array_equal(weighed(parts(5.0), False)["total"], [14.0] * 3)
+    np.testing.assert_array_equal(weighed(parts(3.0, 2), False)["total"], [10.0] * 2)
+    assert len(traced) == 4
+    gc.collect()
+    assert [seen() for seen in traced] == [None] * 4
+    weighed(parts(5.0), False)
+    assert len(traced) == 4
+    jax_setup.make_room(share=0.0)
+    weighed(parts(5.0), False)
+    assert len(traced) == 5
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,11 +25,12 @@ from hydrojax.identify.estimation.columns import (
     basis,
     filled,
     slot_names,
+    thinned,
 )
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.sensitivity import opened_along
-from hydrojax.identify.estimation.starts import placed, thinned
-from hydrojax.jax_setup import program
+from hydrojax.identify.estimation.starts import placed
+from hydrojax.jax_setup import program_of_pytrees
 from hydrojax.parameters import put
 from hydrojax.plant.imbalance import imbalance_behind
 
@@ -154,7 +154,8 @@ def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
 def in_brief(problem: Problem) -> Problem:
     """The problem on as many windows as balances are fitted on."""
     ticks = problem.batch.windows.u.shape[1]
-    most = max(problem.criteria.balance_ticks // ticks, 1)
+    own = problem.criteria
+    most = min(max(own.balance_ticks // ticks, 1), own.short_windows)
     return replace(problem, batch=thinned(problem.batch, most))
 
 
@@ -187,7 +188,7 @@ def _weight(batch: Batch) -> Float[np.ndarray, "rows ticks"]:
     return out
 
 
-@partial(program, jit=eqx.filter_jit)
+@program_of_pytrees
 def _run(
     model: ParametricRig,
     values: Float[Array, "n"],

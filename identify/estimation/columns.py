@@ -117,6 +117,17 @@ def batch_of(data: Data) -> Batch:
     return Batch(motion, windows, data.P_0, data.noise, supply_noise, weight)
 
 
+def thinned(batch: Batch, most: int) -> Batch:
+    """A batch of at most `most` windows, spread evenly."""
+    count = batch.P_0.shape[0]
+    keep = np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))
+    return batch._replace(
+        windows=jax.tree.map(lambda a: a[keep], batch.windows),
+        P_0=batch.P_0[keep],
+        weight=batch.weight[keep],
+    )
+
+
 Room = tuple[int, int, int]
 """Windows, segments, and ticks of a segment."""
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from hydrojax.identify.estimation.columns import thinned
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.plant.places import gauge_names
 
@@ -47,6 +48,16 @@ def reweighted(
     for with a wrong bulk modulus.
     """
     return np.where(rms > above * noise, np.maximum(noise, rms), noise)
+
+
+def in_short(problem: Problem) -> Problem:
+    """The problem on some of its windows, spread over the logs: enough to look for
+    effects on. Itself where that would not be much less work.
+    """
+    most = problem.criteria.short_windows
+    if not problem.simulate or len(problem.batch.P_0) < 2 * most:
+        return problem
+    return replace(problem, batch=thinned(problem.batch, most))
 
 
 def fit_all(
@@ -110,7 +121,12 @@ def fit_jointly(
 def fit_pressures(
     problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
 ) -> tuple[Problem, Float[np.ndarray, "n"]]:
-    """Fit the free parameters that the pressures see, on the pressures alone."""
+    """Fit the free parameters that the pressures see, on the pressures alone; where the
+    windows are many, on some of them first.
+    """
+    few = in_short(problem)
+    if few is not problem:
+        values = fit_pressures(few, values, free)[1]
     noise = only(np.asarray(problem.batch.noise), PRESSURES)
     gauges = gauge_names(problem.model.rig)
     own = problem.side(free, True)

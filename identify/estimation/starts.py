@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.columns import Batch, basis, filled
+from hydrojax.identify.estimation.columns import basis, filled, thinned
 from hydrojax.identify.estimation.misfit import run_starts
 from hydrojax.identify.estimation.problem import Problem
 
@@ -62,17 +61,6 @@ def best_start(
         at[order] + scale[order] * best, lower[order], upper[order]
     )
     return moved
-
-
-def thinned(batch: Batch, most: int) -> Batch:
-    """A batch of at most `most` windows, spread evenly."""
-    count = batch.P_0.shape[0]
-    keep = np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))
-    return batch._replace(
-        windows=jax.tree.map(lambda a: a[keep], batch.windows),
-        P_0=batch.P_0[keep],
-        weight=batch.weight[keep],
-    )
 
 
 def placed(

@@ -5,9 +5,7 @@ plant: the value held as a run began, and a linear autoregressive model (ARX).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +15,7 @@ from hydrojax.identify.estimation.columns import Batch, ParametricRig, filled
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import Horizon
-from hydrojax.jax_setup import program
+from hydrojax.jax_setup import program_of_pytrees
 from hydrojax.parameters import put
 from hydrojax.plant.replay import friction_memory, pressures, readings
 
@@ -114,7 +112,7 @@ def _runs(
     return np.concatenate([own[None], problem.batch.windows.measured - out])
 
 
-@partial(program, jit=eqx.filter_jit)
+@program_of_pytrees
 def _run_on(
     model: ParametricRig,
     values: Float[Array, "n"],

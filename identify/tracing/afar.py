@@ -7,8 +7,10 @@ do is not predicted by their derivative at zero, along which a fit goes the wron
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -21,11 +23,12 @@ from hydrojax.identify.estimation.balance import (
     descend,
     in_brief,
 )
-from hydrojax.identify.estimation.columns import slot_names
+from hydrojax.identify.estimation.columns import slot_names, thinned
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.estimation.starts import placed, thinned
+from hydrojax.identify.estimation.starts import placed
 from hydrojax.identify.tracing.score import Score
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
+from hydrojax.jax_setup import cores
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
 
@@ -174,15 +177,17 @@ def _found(
     added = {n for a in state.added for n in free_names(state.effects[a.name])}
     back = {n: problem.free[n].start for n in state.free if n not in added}
     found = []
-    for name, grid in grids.items():
-        free = (*state.free, *free_names(effects[name]))
-        for base in (here, placed(problem, here, back)):
-            at = [evaluate(placed(problem, base, far), free) for far in grid]
-            left = np.array([a.predicted(problem) for a in at])
-            around = np.r_[np.inf, left, np.inf]
-            (low,) = np.nonzero((left <= around[:-2]) & (left <= around[2:]))
-            best = sorted(low, key=lambda i: left[i])[: own.far_starts]
-            found += [(left[i], name, at[i], free) for i in best]
+    with ThreadPoolExecutor(cores()) as pool:
+        for name, grid in grids.items():
+            free = (*state.free, *free_names(effects[name]))
+            for base in (here, placed(problem, here, back)):
+                far = [placed(problem, base, values) for values in grid]
+                at = list(pool.map(evaluate, far, repeat(free)))
+                left = np.array([a.predicted(problem) for a in at])
+                around = np.r_[np.inf, left, np.inf]
+                (low,) = np.nonzero((left <= around[:-2]) & (left <= around[2:]))
+                best = sorted(low, key=lambda i: left[i])[: own.far_starts]
+                found += [(left[i], name, at[i], free) for i in best]
     out: dict[str, list[Linear]] = {}
     found.sort(key=lambda f: f[0])
     for _, name, at, free in found:

@@ -61,7 +61,7 @@ class Criteria:
     `far_starts`."""
     balance_ticks: int = 8000
     """Ticks whose flow balances are fitted to look for starts, count: in windows
-    spread over the logs: time against information."""
+    spread over the logs, `short_windows` at most: time against information."""
     much: float = 2.0
     """RMS of a pressure over its noise that effects found one by one have to leave for
     several to be tried together, 1: time. `benchmarks.recorded` (machine 06)."""
@@ -112,6 +112,10 @@ class Criteria:
     start_spread: float = 0.3
     """Half range of the starts about the declared values, relative. `benchmarks.trace`.
     """
+    short_windows: int = 192
+    """Windows on which effects are looked for where there are at least twice as many,
+    count: time against information. All take part in the last fit;
+    `benchmarks.recorded` (machines)."""
     start_windows: int = 32
     """Windows on which the starts are compared, count: time against information."""
     reweighted_above: float = 1.25

@@ -22,12 +22,11 @@ from hydrojax.identify.estimation.balance import (
     descend,
     in_brief,
 )
-from hydrojax.identify.estimation.columns import basis, filled
+from hydrojax.identify.estimation.columns import basis, filled, thinned
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.known import free_effect, free_parameters
 from hydrojax.identify.estimation.misfit import run_sums
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.estimation.starts import thinned
 from hydrojax.identify.preparation import data as preparation
 from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs
