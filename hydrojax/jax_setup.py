@@ -10,6 +10,7 @@ import os
 import sys
 import threading
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from contextlib import suppress
 from pathlib import Path
@@ -164,7 +165,12 @@ def program(f: Callable[..., Any], **more: Any) -> Callable[..., Any]:
     return call
 
 
-_STRUCTURES: list[dict[Hashable, Callable[..., Any]]] = []
+FULL = 2**30
+"""Bytes of the process from which the programs used longest ago go before another one
+is made: what that takes comes on top."""
+
+_PROGRAMS: OrderedDict[Hashable, Callable[..., Any]] = OrderedDict()
+_KEEPING = threading.Lock()
 
 
 def program_of_pytrees(f: Callable[..., Any]) -> Callable[..., Any]:
@@ -173,12 +179,11 @@ def program_of_pytrees(f: Callable[..., Any]) -> Callable[..., Any]:
 
     What JAX traced is let go of once it is compiled: for a fit's program that is a
     third of what the process would hold. It can therefore not be transformed further.
+    Where the process holds more than `FULL`, programs go that were not used for long.
 
     Args:
         f: the function.
     """
-    made: dict[Hashable, Callable[..., Any]] = {}
-    _STRUCTURES.append(made)
     one = threading.Lock()  # two threads that want the same program compile it once
 
     @functools.wraps(f)
@@ -190,16 +195,33 @@ def program_of_pytrees(f: Callable[..., Any]) -> Callable[..., Any]:
         arrays = [a for a, m in zip(leaves, moves, strict=True) if m]
         fixed = [None if m else a for a, m in zip(leaves, moves, strict=True)]
         key = (
+            f,
             tree,
             *((type(a), a) for a in fixed),
             *((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in arrays),
         )
         with one:
-            if key not in made:
-                made[key] = _compiled(f, tree, fixed, moves, arrays)
-        return made[key](arrays)
+            made = _PROGRAMS.get(key)
+            if made is None:
+                _let_go_of_old()
+                made = _compiled(f, tree, fixed, moves, arrays)
+            with _KEEPING:
+                _PROGRAMS[key] = made
+                _PROGRAMS.move_to_end(key)
+        return made(arrays)
 
     return call
+
+
+def _let_go_of_old() -> None:
+    """Half of the programs, where the process holds more than `FULL`."""
+    if resident(os.getpid()) < FULL:
+        return
+    with _KEEPING:
+        for _ in range(len(_PROGRAMS) // 2):
+            _PROGRAMS.popitem(last=False)
+    gc.collect()
+    return_freed_memory()
 
 
 def _compiled(
@@ -253,8 +275,7 @@ def make_room(share: float = MAPPED, held: float = math.inf) -> bool:
     import jax
 
     jax.clear_caches()
-    for made in _STRUCTURES:
-        made.clear()
+    _PROGRAMS.clear()
     gc.collect()
     return_freed_memory()
     return True

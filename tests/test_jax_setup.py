@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import weakref
+from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -189,6 +190,28 @@ def test_a_program_of_pytrees_is_compiled_once_for_each_structure():
     jax_setup.make_room(share=0.0)
     weighed(parts(5.0), False)
     assert len(traced) == 5
+
+
+def test_programs_that_were_not_used_for_long_go_where_much_is_held(monkeypatch):
+    traced: list[int] = []
+
+    @jax_setup.program_of_pytrees
+    def double(a):
+        traced.append(a.size)
+        return 2 * a
+
+    monkeypatch.setattr(jax_setup, "_PROGRAMS", OrderedDict())
+    monkeypatch.setattr(jax_setup, "FULL", math.inf)
+    for n in (1, 2, 3, 4, 1):
+        double(np.ones(n))
+    assert traced == [1, 2, 3, 4]
+    monkeypatch.setattr(jax_setup, "FULL", 0)
+    double(np.ones(5))  # 2 and 3 go for it
+    traced.clear()
+    monkeypatch.setattr(jax_setup, "FULL", math.inf)
+    for n in (4, 1, 5, 2, 3):
+        np.testing.assert_array_equal(double(np.ones(n)), np.full(n, 2.0))
+    assert traced == [2, 3]
 
 
 @pytest.mark.slow

@@ -138,11 +138,11 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
     return Past(z, speed, v, tuple(slips))
 
 
-STEPS, SLOW_STEPS = ((60, 1), (260, 5)), ((60, 1), (260, 3), (960, 10))
+STEPS, SLOW_STEPS = ((60, 1), (260, 5)), ((60, 1), (260, 2), (960, 7))
 """How many ticks ahead of a window the command's path is run in steps of how many: what
 a spool remembers need be known tick by tick for a while only, but one whose rate is
-limited forgets nothing while it is late: 0.1 % of the command's swing is then off where
-a machine's spool is (machine_06)."""
+limited forgets nothing while it is late. Longer steps would be off by more than 0.5 % of
+the spool's stroke."""
 
 SETTLED = 260
 """Ticks ahead of a window over which a line settles at the measured pressures."""

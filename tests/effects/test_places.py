@@ -39,7 +39,7 @@ class Fitted:
 
     def __init__(self, rig: Rig, free: tuple[str, ...]):
         self.model, self.free, self.asked = ParametricRig.of(rig), free, []
-        self.criteria = Criteria()
+        self.criteria, self.simulate = Criteria(), False  # of no windows
         self.batch = SimpleNamespace(noise=np.array([1e3, 1e3, np.inf]))
 
     def side(self, names, hydraulic):
