@@ -141,8 +141,8 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
 STEPS, SLOW_STEPS = ((60, 1), (260, 5)), ((60, 1), (260, 2), (960, 7))
 """How many ticks ahead of a window the command's path is run in steps of how many: what
 a spool remembers need be known tick by tick for a while only, but one whose rate is
-limited forgets nothing while it is late. Longer steps would be off by more than 0.5 % of
-the spool's stroke."""
+limited forgets nothing while it is late. Longer steps would be off by more than 0.5 %
+of the spool's stroke."""
 
 SETTLED = 260
 """Ticks ahead of a window over which a line settles at the measured pressures."""
