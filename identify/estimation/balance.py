@@ -154,8 +154,7 @@ def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
 def in_brief(problem: Problem) -> Problem:
     """The problem on as many windows as balances are fitted on."""
     ticks = problem.batch.windows.u.shape[1]
-    own = problem.criteria
-    most = min(max(own.balance_ticks // ticks, 1), own.short_windows)
+    most = max(problem.criteria.balance_ticks // ticks, 1)
     return replace(problem, batch=thinned(problem.batch, most))
 
 

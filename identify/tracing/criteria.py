@@ -61,7 +61,7 @@ class Criteria:
     `far_starts`."""
     balance_ticks: int = 8000
     """Ticks whose flow balances are fitted to look for starts, count: in windows
-    spread over the logs, `short_windows` at most: time against information."""
+    spread over the logs: time against information."""
     much: float = 2.0
     """RMS of a pressure over its noise that effects found one by one have to leave for
     several to be tried together, 1: time. `benchmarks.recorded` (machine 06)."""
