@@ -63,10 +63,15 @@ def scores(folder: str, count: int) -> Build:
     case = opened(folder)
     names = [n for n in applicable(case) if n not in case.spec.effects][:count]
     made = Problem.of(build_rig(case.spec, names), free_parameters(case.spec), case.fit)
-    values = made.initial_values()
+    values, n = made.initial_values(), made.model.hydraulic
+    columns = (made.model.names, (n, len(made.model.names) - n))
+
+    def score() -> float:
+        found = made.evaluate(values, *columns, made.batch)
+        return float(np.asarray(found.gram[0, -1, -1]))
 
     def build():
-        return lambda: float(np.asarray(made.sums_at(values).gram[0, -1, -1]))
+        return score
 
     return build
 

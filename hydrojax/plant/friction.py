@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.parameters import param
+from hydrojax.plant.scan import scan_in_blocks
 
 
 class Sliding(NamedTuple):
@@ -206,10 +207,10 @@ def run_stop(
         return jnp.clip(state + shift, low, high), state
 
     none = jnp.zeros_like(moves[..., 0])
-    ends, steps = jax.lax.scan(
+    _, steps = scan_in_blocks(
         within, (none, none - reach, none + reach), jnp.moveaxis(moves, -1, 0)
     )
-    ends = jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), ends)
+    ends = jax.tree.map(lambda a: jnp.moveaxis(a[-1], -1, 0), steps)
     _, entry = jax.lax.scan(across, held(start), ends)
     shift, low, high = steps
     states = jnp.clip(shift + jnp.moveaxis(entry, 0, -1), low, high)
@@ -247,7 +248,8 @@ def run_linear(
 
     steps = (cut(keep, 1.0), cut(add, 0.0))
     one = jnp.ones_like(steps[0][0])
-    ends, (product, total) = jax.lax.scan(within, (one, one * 0), steps)
+    _, (product, total) = scan_in_blocks(within, (one, one * 0), steps)
+    ends = (product[-1], total[-1])
     ends = jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), ends)
     _, entry = jax.lax.scan(across, start, ends)
     states = product * jnp.moveaxis(entry, 0, -1) + total

@@ -24,6 +24,7 @@ from hydrojax.plant.effect import CommandDelay, SpoolLimit
 from hydrojax.plant.friction import Sliding, run_linear, run_stop
 from hydrojax.plant.hydraulics import follow_drops, pressure_step, settled_drops
 from hydrojax.plant.rig import PARTS, Rig, mean_opening
+from hydrojax.plant.scan import scan_in_blocks
 from hydrojax.plant.state import StepInput
 
 
@@ -251,7 +252,11 @@ def openings(rig: Rig, w: Windows) -> tuple[Float[Array, "ticks windows"], ...]:
 
     memory = rig.command_init((ahead if len(ahead[1]) else held)[0][0][..., 0])
     memory, _ = jax.lax.scan(warm, memory, ahead)
-    return jax.lax.scan(lambda memory, at: _through(rig, memory, *at), memory, held)[1]
+
+    def follow(memory, held):
+        return _through(rig, memory, *held)
+
+    return scan_in_blocks(follow, memory, held)[1]
 
 
 def before_filters(rig: Rig, w: Windows) -> Windows:
@@ -304,7 +309,7 @@ def pressures_behind(
     P = (P_0[:, 0], P_0[:, 1])
     start = (line_start(rig, w, opened), P)
     own = tuple(o[-len(inputs.u) :] for o in opened)
-    _, (P_a1, P_a2) = jax.lax.scan(advance, start, (own, inputs))
+    _, (P_a1, P_a2) = scan_in_blocks(advance, start, (own, inputs))
     return (
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),

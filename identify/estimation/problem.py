@@ -70,6 +70,9 @@ class Problem:
     _begun: dict[bytes, tuple[Batch, np.ndarray]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
+    _summed: dict[bytes, Sums] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(
@@ -178,8 +181,16 @@ class Problem:
         batch = self.batch
         if noise is not None:
             batch = batch._replace(noise=noise)
-        n, names = self.model.hydraulic, self.model.names
-        return self.evaluate(values, names, (n, len(names) - n), batch)
+        key = values.tobytes() + np.asarray(batch.noise).tobytes()
+        found = self._summed.get(key)
+        if found is None:
+            n, names = self.model.hydraulic, self.model.names
+            found = self.evaluate(values, names, (n, len(names) - n), batch)
+            for a in found:  # every later caller gets the same arrays
+                a.setflags(write=False)
+            self._summed.clear()  # the last only: it is asked for where a fit ended
+            self._summed[key] = found
+        return found
 
     def residuals_at(
         self, values: Float[np.ndarray, "n"]
