@@ -187,7 +187,7 @@ class Problem:
             n, names = self.model.hydraulic, self.model.names
             found = self.evaluate(values, names, (n, len(names) - n), batch)
             for a in found:  # every later caller gets the same arrays
-                a.setflags(write=False)
+                np.asarray(a).setflags(write=False)
             self._summed.clear()  # the last only: it is asked for where a fit ended
             self._summed[key] = found
         return found
