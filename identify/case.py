@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from hydrojax import jax_setup
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.identify.preparation.data import Data, driver, prepare_logs, runs_backward
@@ -20,10 +19,11 @@ from hydrojax.identify.preparation.noise import channel_noise
 from hydrojax.identify.preparation.resolution import NoiseBy, resolve
 from hydrojax.identify.preparation.segments import common_band
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.jax_setup import make_room
 from hydrojax.logs.log import Log
 from hydrojax.logs.tables import Channel
 from hydrojax.parameters import specs
+from hydrojax.programs import compiled
+from hydrojax.programs.compiled import make_room
 from hydrojax.rigfile.build import over_travel
 from hydrojax.rigfile.schema import RigFile
 
@@ -166,7 +166,7 @@ def _make_room(spec: RigFile, logs: Sequence[Log]) -> None:
     """Let go of compiled programs that another structure of rig left behind."""
     names = (spec.effects, spec.parameters, logs[0].signals)
     own: Structure = (spec.layout.name, *map(frozenset, names))
-    make_room(held=math.inf if own in _BEFORE else jax_setup.HELD)
+    make_room(held=math.inf if own in _BEFORE else compiled.HELD)
     _BEFORE[:] = [own]
 
 

@@ -12,12 +12,14 @@ import jax
 import numpy as np
 import pytest
 
-from hydrojax import cli, jax_setup
-from hydrojax.jax_setup import make_room, set_up_jax
+from hydrojax import cli
+from hydrojax.jax_setup import set_up_jax
 from hydrojax.parameters import parameter_specs, put
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.replay import Motion, Windows
 from hydrojax.plant.rig import Rig, bare_rig
+from hydrojax.programs import compiled as programs
+from hydrojax.programs.compiled import make_room
 from tests import generator
 
 CACHE_HOME = Path(tempfile.gettempdir()) / "hydrojax-tests"
@@ -36,7 +38,7 @@ def _pin() -> None:
 
 _pin()
 set_up_jax(CACHE_HOME / "hydrojax")
-jax_setup.HELD = 2**30  # tests take rigs of many structures by turns
+programs.HELD = 2**30  # tests take rigs of many structures by turns
 
 GEOMETRY = {"area": 1.18e-3, "chamber_length": 0.2}
 

@@ -23,6 +23,7 @@ from hydrojax.identify import case as cases
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation.columns import ParametricRig, basis, filled
 from hydrojax.identify.estimation.misfit import sums
+from hydrojax.programs import compiled as programs
 
 LOOP = """
 import jax, jax.numpy as jnp
@@ -165,7 +166,7 @@ def test_a_program_of_pytrees_is_compiled_once_for_each_structure():
     """Two threads that want it at once wait for one; what it was traced from goes."""
     traced: list[weakref.ref] = []
 
-    @jax_setup.program_of_pytrees
+    @programs.program_of_pytrees
     def weighed(parts, squared: bool):
         traced.append(weakref.ref(parts["a"]))
         total = parts["a"] * parts["factor"] + jnp.sum(parts["b"])
@@ -187,7 +188,7 @@ def test_a_program_of_pytrees_is_compiled_once_for_each_structure():
     assert [seen() for seen in traced] == [None] * 4
     weighed(parts(5.0), False)
     assert len(traced) == 4
-    jax_setup.make_room(share=0.0)
+    programs.make_room(share=0.0)
     weighed(parts(5.0), False)
     assert len(traced) == 5
 
@@ -195,20 +196,20 @@ def test_a_program_of_pytrees_is_compiled_once_for_each_structure():
 def test_programs_that_were_not_used_for_long_go_where_much_is_held(monkeypatch):
     traced: list[int] = []
 
-    @jax_setup.program_of_pytrees
+    @programs.program_of_pytrees
     def double(a):
         traced.append(a.size)
         return 2 * a
 
-    monkeypatch.setattr(jax_setup, "_PROGRAMS", OrderedDict())
-    monkeypatch.setattr(jax_setup, "FULL", math.inf)
+    monkeypatch.setattr(programs, "_PROGRAMS", OrderedDict())
+    monkeypatch.setattr(programs, "FULL", math.inf)
     for n in (1, 2, 3, 4, 1):
         double(np.ones(n))
     assert traced == [1, 2, 3, 4]
-    monkeypatch.setattr(jax_setup, "FULL", 0)
+    monkeypatch.setattr(programs, "FULL", 0)
     double(np.ones(5))  # 2 and 3 go for it
     traced.clear()
-    monkeypatch.setattr(jax_setup, "FULL", math.inf)
+    monkeypatch.setattr(programs, "FULL", math.inf)
     for n in (4, 1, 5, 2, 3):
         np.testing.assert_array_equal(double(np.ones(n)), np.full(n, 2.0))
     assert traced == [2, 3]
@@ -223,9 +224,9 @@ def test_programs_are_let_go_before_the_kernel_runs_out_of_mappings(recorded, tm
     case = cut(recorded(1), tmp_path / "one", 100)
     before = api.identify(case, starts=1)
     held = mapped()
-    assert not jax_setup.make_room()
+    assert not programs.make_room()
     allowed = int(Path("/proc/sys/vm/max_map_count").read_text())
-    assert jax_setup.make_room(0.9 * held / allowed)
+    assert programs.make_room(0.9 * held / allowed)
     assert mapped() < held - 1000
     again = api.identify(case, starts=1)
     assert again.parameters == before.parameters
@@ -243,5 +244,5 @@ def test_programs_of_another_structure_go_where_much_is_held(
         file.write('\n[effects.internal_leakage]\nc_il = "1e-13 m^3/(s*Pa)"\n')
     for folder in (one, one, other, other, one):
         open_case(folder / "rig.toml", [folder / "fit_1.csv"])
-    never, held = math.inf, jax_setup.HELD
+    never, held = math.inf, programs.HELD
     assert asked == [held, never, held, never, held]

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hydrojax.control.base import RATES
-from hydrojax.jax_setup import program
+from hydrojax.programs.compiled import program
 from hydrojax.rigfile.quantities import Quantity, Setting
 from hydrojax.tune import linearize, metrics, operating_point, programs, trials
 from hydrojax.tune.aims import Aim, Following, Limits, Seen, soft_kept

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hydrojax.control.loop import Scenario, run
-from hydrojax.jax_setup import program
 from hydrojax.parameters import put
+from hydrojax.programs.compiled import program
 from hydrojax.rigfile.quantities import Quantity, Setting
 from hydrojax.tune import linearize, operating_point
 

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from hydrojax.jax_setup import cores, make_room, program
+from hydrojax.jax_setup import cores
+from hydrojax.programs.compiled import make_room, program
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import linearize, measure, metrics, operating_point
 from hydrojax.tune.chunks import Chunks

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hydrojax.jax_setup import program
+from hydrojax.programs.compiled import program
 from hydrojax.tune import linearize, metrics, trials
 from hydrojax.tune.aims import TOLERANCE
 from hydrojax.tune.objective import ALL_SPEEDS, Objective

@@ -30,9 +30,9 @@ from hydrojax.identify.estimation.columns import (
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.sensitivity import opened_along
 from hydrojax.identify.estimation.starts import placed
-from hydrojax.jax_setup import program_of_pytrees
 from hydrojax.parameters import put
 from hydrojax.plant.imbalance import imbalance_behind
+from hydrojax.programs.compiled import program_of_pytrees
 
 Values = Float[np.ndarray, "n"]
 

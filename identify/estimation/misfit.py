@@ -30,9 +30,9 @@ from hydrojax.identify.estimation.sensitivity import (
     sensitivities,
 )
 from hydrojax.identify.estimation.solve import Fit, minimise
-from hydrojax.jax_setup import program_of_pytrees
 from hydrojax.parameters import put
 from hydrojax.plant.replay import pressures
+from hydrojax.programs.compiled import program_of_pytrees
 
 START_SPREAD = 3e5
 """Prior on a window's initial pressure about its first guess, Pa: wide, it only keeps

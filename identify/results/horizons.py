@@ -15,9 +15,9 @@ from hydrojax.identify.estimation.columns import Batch, ParametricRig, filled
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import Horizon
-from hydrojax.jax_setup import program_of_pytrees
 from hydrojax.parameters import put
 from hydrojax.plant.replay import friction_memory, pressures, readings
+from hydrojax.programs.compiled import program_of_pytrees
 
 LONGER = (1.0, 5.0)
 """Seconds of the runs beside those of a single window and of the whole log."""

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from hydrojax.jax_setup import program
 from hydrojax.paper.records import reference
+from hydrojax.programs.compiled import program
 from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.tune import linearize, measure, metrics, operating_point
 

@@ -1,0 +1,1 @@
+"""Compiled programs: made once for each structure, kept on disk, let go of again."""
