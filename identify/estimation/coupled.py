@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from hydrojax.identify.estimation.columns import Batch, ParametricRig
 from hydrojax.identify.tracing.criteria import Criteria
@@ -20,6 +20,7 @@ from hydrojax.parameters import put
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.rig import Rig
+from hydrojax.programs.compiled import program_of_pytrees
 
 HALVINGS = 40
 """Of the bracket that holds a tick's force."""
@@ -88,13 +89,19 @@ def answer(rig: Rig, batch: Batch) -> Float[np.ndarray, "3"]:
     piston, at most.
     """
     w = batch.windows
-    x = jnp.asarray([np.min(w.x), np.max(w.x)])
-    P = jnp.full(2, np.median(w.P_a1)), jnp.full(2, np.median(w.P_a2))
-    none = jnp.zeros(2)
+    x = np.array([np.min(w.x), np.max(w.x)])
+    return np.asarray(_answer(rig, x, np.median(w.P_a1), np.median(w.P_a2)))
+
+
+@program_of_pytrees
+def _answer(
+    rig: Rig, x: Float[Array, "2"], P_a1: Float[Array, ""], P_a2: Float[Array, ""]
+) -> Float[Array, "3"]:
+    P, none = (jnp.full(2, P_a1), jnp.full(2, P_a2)), jnp.zeros(2)
     at = Point(*P, P[0], none, (none,), x, v=none + 1.0)
     moved = rig.chambers.rates(at, none, none, rig.compliance, rig.volume)
     oil = jnp.stack([*moved, rig.drive_force(*moved)])
     friction = rig.mechanics
     level = jnp.maximum(friction.k_cp, friction.k_cn)
     bristle = jnp.array([0.0, 0.0, level / friction.z_ss])
-    return np.asarray(jnp.max(jnp.abs(oil), axis=1) + bristle)
+    return jnp.max(jnp.abs(oil), axis=1) + bristle

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy import interpolate, signal
+from scipy import interpolate, linalg, signal
 
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
@@ -67,13 +67,27 @@ def motion_band(
 
 def smooth(
     t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"], cut: float
-) -> interpolate.BSpline:
+) -> interpolate.CubicSpline:
     """A smoothing spline that passes what is below `cut` Hz; ticks may be uneven.
 
-    Its response is 1/(1 + (f/cut)^4), without phase.
+    Its response is 1/(1 + (f/cut)^4), without phase. It is the natural cubic spline
+    that SciPy's `make_smoothing_spline` gives, by Reinsch's banded equations for its
+    second derivatives: SciPy sets up its penalty row by row in Python, which took half
+    of the time in which logs are made ready.
     """
-    h = float(np.median(np.diff(t)))
-    return interpolate.make_smoothing_spline(t, y, lam=1 / (h * (2 * np.pi * cut) ** 4))
+    h = np.diff(t)
+    lam = 1 / (float(np.median(h)) * (2 * np.pi * cut) ** 4)
+    slope = 1 / h
+    Q = np.stack([slope[:-1], -slope[:-1] - slope[1:], slope[1:]])  # second differences
+    bands = np.zeros((3, t.size - 2))
+    bands[2] = (h[:-1] + h[1:]) / 3 + lam * np.sum(Q**2, axis=0)
+    bands[1, 1:] = h[1:-1] / 6 + lam * (Q[1, :-1] * Q[0, 1:] + Q[2, :-1] * Q[1, 1:])
+    bands[0, 2:] = lam * Q[2, :-2] * Q[0, 2:]
+    bent = linalg.solveh_banded(bands, np.diff(np.diff(y) * slope))
+    moved = np.zeros(t.size)
+    for i in range(3):
+        moved[i : t.size - 2 + i] += Q[i] * bent
+    return interpolate.CubicSpline(t, y - lam * moved, bc_type="natural")
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import optimize
-from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.interpolate import CubicSpline, make_interp_spline, make_smoothing_spline
 
 from hydrojax.effects import EFFECTS
 from hydrojax.identify import api
@@ -648,6 +648,20 @@ def test_smoothing_passes_what_is_slow_and_halves_at_the_cut(jitter):
         gain, shift = np.linalg.lstsq(wave[inner], out[inner], rcond=None)[0]
         assert gain == pytest.approx(wanted, abs=0.01)
         assert abs(shift) < 0.01
+
+
+@pytest.mark.parametrize("cut", [3.0, 30.0, 300.0])
+@pytest.mark.parametrize("jitter", [0.0, 0.9])
+def test_smoothing_is_scipys_spline(cut, jitter):
+    rng = np.random.default_rng(0)
+    t = 2.0 + 1e-3 * (np.arange(900) + jitter * rng.uniform(-0.5, 0.5, 900))
+    y = np.cumsum(rng.normal(size=t.size))
+    lam = 1 / (np.median(np.diff(t)) * (2 * np.pi * cut) ** 4)
+    want, got = make_smoothing_spline(t, y, lam=lam), smooth(t, y, cut)
+    fine = np.linspace(t[0], t[-1], 5000)
+    for nu in (0, 1, 2):
+        most = np.max(np.abs(want(fine, nu)))
+        assert np.max(np.abs(got(fine, nu) - want(fine, nu))) < 1e-6 * most
 
 
 # -- the sense of motion --
