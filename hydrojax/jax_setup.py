@@ -67,7 +67,7 @@ def set_up_jax(cache: Path | None = None, work: str = FITS) -> bool:
     _trim_after_compiling()
     if cache is not None:
         with suppress(OSError):  # JAX would let others in, and says what is wrong
-            cache.mkdir(mode=0o700, parents=True, exist_ok=True)
+            Path(cache).mkdir(mode=0o700, parents=True, exist_ok=True)
         trim(cache)
         jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
