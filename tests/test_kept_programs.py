@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hydrojax.effects.valve import ValveDelay
 from hydrojax.programs import compiled, kept
 
 
@@ -112,6 +113,25 @@ def test_programs_of_other_peoples_code_are_not_kept(folder):
     assert kept.key_of(function, tree, [None], [np.ones(1)], None) is None
     assert kept.key_of(function, tree.children()[0], [None], [np.ones(1)], None)
     assert not list(folder.iterdir())
+
+
+def test_classes_that_share_a_name_and_objects_without_a_text_have_no_key():
+    function = Counted().function
+
+    def key(a):
+        return kept.key_of(function, jax.tree.structure(a), [None], [np.ones(1)], None)
+
+    made = [NamedTuple("Stroke", [("a", float)]) for _ in range(2)]
+    for kind in made:
+        kind.__module__, kind.__qualname__ = "hydrojax.plant.effect", "Stroke"
+        assert key(kind(1.0)) is None
+    assert key(ValveDelay()) and key([1.0])
+    assert key(ValveDelay(queue=Counted)) is None  # pyright: ignore[reportArgumentType]
+
+
+def test_sources_edited_since_they_were_loaded_have_no_key(monkeypatch):
+    monkeypatch.setattr(kept, "_LOADED", 0.0)
+    assert kept._sources() is None
 
 
 def test_a_key_holds_all_that_a_program_depends_on(folder, monkeypatch):

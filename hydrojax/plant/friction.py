@@ -207,7 +207,7 @@ def run_stop(
         return jnp.clip(state + shift, low, high), state
 
     none = jnp.zeros_like(moves[..., 0])
-    _, steps = scan_in_blocks(
+    steps = scan_in_blocks(
         within, (none, none - reach, none + reach), jnp.moveaxis(moves, -1, 0)
     )
     ends = jax.tree.map(lambda a: jnp.moveaxis(a[-1], -1, 0), steps)
@@ -248,7 +248,7 @@ def run_linear(
 
     steps = (cut(keep, 1.0), cut(add, 0.0))
     one = jnp.ones_like(steps[0][0])
-    _, (product, total) = scan_in_blocks(within, (one, one * 0), steps)
+    product, total = scan_in_blocks(within, (one, one * 0), steps)
     ends = (product[-1], total[-1])
     ends = jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), ends)
     _, entry = jax.lax.scan(across, start, ends)

@@ -256,7 +256,7 @@ def openings(rig: Rig, w: Windows) -> tuple[Float[Array, "ticks windows"], ...]:
     def follow(memory, held):
         return _through(rig, memory, *held)
 
-    return scan_in_blocks(follow, memory, held)[1]
+    return scan_in_blocks(follow, memory, held)
 
 
 def before_filters(rig: Rig, w: Windows) -> Windows:
@@ -309,7 +309,7 @@ def pressures_behind(
     P = (P_0[:, 0], P_0[:, 1])
     start = (line_start(rig, w, opened), P)
     own = tuple(o[-len(inputs.u) :] for o in opened)
-    _, (P_a1, P_a2) = scan_in_blocks(advance, start, (own, inputs))
+    P_a1, P_a2 = scan_in_blocks(advance, start, (own, inputs))
     return (
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),

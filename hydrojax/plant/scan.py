@@ -11,15 +11,20 @@ from jaxtyping import PyTree
 
 def scan_in_blocks(
     step: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]], first: PyTree, over: PyTree
-) -> tuple[PyTree, PyTree]:
-    """`jax.lax.scan` of `step`, in blocks of some sqrt(n) of the n steps: its last
-    carry and what each step returns, stacked.
+) -> PyTree:
+    """What `jax.lax.scan` of `step` stacks, run in blocks of some sqrt(n) of n steps.
 
-    XLA's CPU compiler, with the options that fits are compiled with, copies all that a
-    scan has stacked so far at each of its steps: over 270 steps that took three
-    quarters of a fit's time. Of a block little is copied, and the whole once a block.
-    The last block is filled with copies of the last step, so the carry is the one
-    after those.
+    XLA's CPU compiler, with the options of `programs.compiled` and `jax_setup.FITS`,
+    copies all that a scan has stacked so far at each of its steps: most of a fit's time
+    where windows are long. Of a block little is copied, and the whole once a block.
+
+    Args:
+        step: from a carry and one step's inputs to the next carry and what is stacked.
+        first: the carry to begin with.
+        over: the inputs; every array has n steps on its first axis.
+
+    Returns:
+        The second of what `step` returns, with n on the first axis of every array.
     """
     n = len(jax.tree.leaves(over)[0])
     size = max(1, int(n**0.5))
@@ -32,5 +37,5 @@ def scan_in_blocks(
     def block(carry, steps):
         return jax.lax.scan(step, carry, steps)
 
-    last, out = jax.lax.scan(block, first, jax.tree.map(cut, over))
-    return last, jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:n], out)
+    out = jax.lax.scan(block, first, jax.tree.map(cut, over))[1]
+    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:n], out)

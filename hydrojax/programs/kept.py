@@ -14,8 +14,10 @@ import hashlib
 import os
 import pickle
 import platform
+import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from importlib.metadata import version
@@ -34,6 +36,7 @@ SAFE = {OWN, "builtins", "jax", "jaxlib", "equinox", "numpy"}
 
 SUFFIX = ".program"
 
+_LOADED = time.time()
 _HITS = threading.local()  # programs that JAX took from its own cache, by thread
 
 
@@ -53,14 +56,15 @@ def key_of(
         A hash; None where one of the parts has no text that is the same in another
         process, or is code of the user's, which may change unseen.
     """
-    types = [f"{t.__module__}.{t.__qualname__}" for t in _types(tree)]
-    shapes = [(a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in arrays]
-    names = [f"{function.__module__}.{function.__qualname__}", *types]
+    types, here, nodes = list(_types(tree)), _here(), str(tree)
+    own = function.__module__.partition(".")[0] == OWN
     plain = all(isinstance(a, str | int | float | None) for a in fixed)
-    text = repr((names, str(tree), list(fixed), shapes, options, _here()))
-    known = {n.partition(".")[0] for n in names} <= SAFE
-    if not (known and plain) or " at 0x" in text or not _is_own(function):
+    # Objects without a text of their own are given in angle brackets.
+    if not (own and plain and here and "<" not in nodes and all(map(_is_safe, types))):
         return None
+    names = [f"{t.__module__}.{t.__qualname__}" for t in (function, *types)]
+    shapes = [(a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in arrays]
+    text = repr((names, nodes, list(fixed), shapes, options, here))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -158,21 +162,37 @@ def _types(tree: Any) -> Iterator[type]:
         yield from _types(child)
 
 
-def _is_own(function: Any) -> bool:
-    return function.__module__.partition(".")[0] == OWN
+def _is_safe(kind: type) -> bool:
+    """Whether a type is what its name says, in a package whose code does not change: a
+    class that was made as the program ran may share its name with another.
+    """
+    if kind.__module__ == "builtins":
+        return True
+    if kind.__module__.partition(".")[0] not in SAFE:
+        return False
+    found: Any = sys.modules.get(kind.__module__)
+    for name in kind.__qualname__.split("."):
+        found = getattr(found, name, None)
+    return found is kind
 
 
 @functools.cache
-def _here() -> tuple[str, ...]:
-    """This machine, these versions, these settings, and the sources."""
+def _here() -> tuple[str, ...] | None:
+    """This machine, these versions, these settings, and the sources; None where these
+    were edited since the package was loaded.
+    """
     import jax
+
+    sources = _sources()
+    if sources is None:
+        return None
 
     versions = [version(n) for n in ("jax", "jaxlib", "equinox", "numpy")]
     flags = os.environ.get("XLA_FLAGS", "")
     double = str(jax.config.read("jax_enable_x64"))
     devices = str([(d.platform, d.device_kind) for d in jax.devices()])
     python = platform.python_version()
-    return (*versions, python, flags, double, devices, _processor(), _sources())
+    return (*versions, python, flags, double, devices, _processor(), sources)
 
 
 def _processor() -> str:
@@ -184,14 +204,18 @@ def _processor() -> str:
     return f"{platform.machine()} {platform.processor()}"
 
 
-def _sources() -> str:
-    """A hash of the package's own sources."""
+def _sources() -> str | None:
+    """A hash of the package's own sources; None where one is newer than this process'
+    copy of it may be.
+    """
     total = hashlib.sha256()
     root = Path(__file__).resolve().parents[1]
     for folder, inside, files in os.walk(root, followlinks=True):
         inside.sort()
         for name in sorted(f for f in files if f.endswith(".py")):
             path = Path(folder, name)
+            if path.stat().st_mtime > _LOADED:
+                return None
             total.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return total.hexdigest()
 

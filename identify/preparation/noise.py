@@ -72,8 +72,8 @@ def smooth(
 
     Its response is 1/(1 + (f/cut)^4), without phase. It is the natural cubic spline
     that SciPy's `make_smoothing_spline` gives, by Reinsch's banded equations for its
-    second derivatives: SciPy sets up its penalty row by row in Python, which took half
-    of the time in which logs are made ready.
+    second derivatives (Numerische Mathematik 10, 1967): SciPy sets up its penalty row
+    by row in Python, which is slow on long logs. The spline is in the unit of `y`.
     """
     h = np.diff(t)
     lam = 1 / (float(np.median(h)) * (2 * np.pi * cut) ** 4)
