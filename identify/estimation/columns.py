@@ -128,6 +128,9 @@ def thinned(batch: Batch, most: int) -> Batch:
     )
 
 
+HANDFUL = 32
+"""Windows whose columns are summed side by side: they stay in the processor's cache."""
+
 Room = tuple[int, int, int]
 """Windows, segments, and ticks of a segment."""
 
@@ -141,9 +144,12 @@ def room_of(batch: Batch) -> Room:
 def filled(batch: Batch, least: Room = (0, 0, 0)) -> Batch:
     """The batch with copies of its last window that weigh nothing, and standstill after
     its motion: logs of other lengths then find their programs compiled. To the size
-    `least`, or larger.
+    `least`, or larger: windows that only fill up cost next to nothing (see
+    `misfit._in_pieces`). A handful keeps a program of its own, which is not as wide.
     """
     windows, *room = map(max, room_of(batch), least)
+    if len(batch.P_0) <= HANDFUL:
+        windows = room_of(batch)[0]
     which = np.minimum(np.arange(windows), len(batch.P_0) - 1)
     segments, ticks = batch.motion.h.shape
     more = (room[0] - segments, room[1] - ticks - 1)

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from hydrojax.identify.estimation.columns import (
+    HANDFUL,
     NUISANCE,
     SUPPLY_BLOCKS,
     Basis,
@@ -41,9 +42,6 @@ a chamber that no channel sees in place."""
 PIECE = 96
 """Windows whose pressures are run side by side, at most: with 256 a step of a fit takes
 40 % longer where windows are short (28 ticks), and as long where they have 250."""
-
-HANDFUL = 32
-"""Windows whose columns are summed side by side: they stay in the processor's cache."""
 
 
 def _own_prior(white: Float[Array, "3"]) -> Float[Array, "unknowns unknowns"]:
@@ -72,22 +70,39 @@ class Sums(NamedTuple):
     sse: Float[Array | np.ndarray, "windows 3"]
 
 
-def _in_pieces(part: Callable, size: int, *windows: PyTree) -> PyTree:
-    """`part` of arrays with the windows first, in even pieces of `size` at most, one
-    after the other if they are many: memory then does not grow with the logs' length.
+def _in_pieces(
+    part: Callable, size: int, real: Array | int, *windows: PyTree
+) -> PyTree:
+    """`part` of arrays with the windows first, in pieces of `size`, one after the other
+    if they are many: memory then does not grow with the logs' length.
+
+    Only pieces with some of the first `real` windows in them are run, so that one
+    program serves batches that fill it by much and by little: rows of the others are 0.
+    `part` is given how many of its windows are real, and the windows.
     """
     count = jax.tree.leaves(windows)[0].shape[0]
     if count <= size:
-        return part(*windows)
+        return part(real, *windows)
     pieces = -(-count // size)
-    size = -(-count // pieces)
 
     def cut(a):
         # The last piece is filled with copies of the last window.
         index = np.minimum(np.arange(pieces * size), count - 1)
         return a[index].reshape(pieces, size, *a.shape[1:])
 
-    out = jax.lax.map(lambda piece: part(*piece), jax.tree.map(cut, windows))
+    cuts = jax.tree.map(cut, windows)
+
+    def piece(i):
+        left = jnp.clip(real - i * size, 0, size)
+        return part(left, *jax.tree.map(lambda a: a[i], cuts))
+
+    def put_in(i, out):
+        return jax.tree.map(lambda a, b: a.at[i].set(b), out, piece(i))
+
+    none = jax.tree.map(
+        lambda a: jnp.zeros((pieces, *a.shape), a.dtype), jax.eval_shape(piece, 0)
+    )
+    out = jax.lax.fori_loop(0, -(-real // size), put_in, none)
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], out)
 
 
@@ -102,22 +117,23 @@ def _of_windows(
     """`reduce` of a batch, its predictions and their derivatives, window by window."""
     recalled = recall(model, values, directions, batch.motion)
 
-    def side_by_side(windows, P_0, weight):
+    def side_by_side(real, windows, P_0, weight):
         own = batch._replace(windows=windows, P_0=P_0, weight=weight)
         pressure = driven_pressures(model, values, directions, own, simulate)
         # Windows first, as all that is cut into handfuls has them.
         by = jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), pressure.by)
 
-        def handful(windows, P_0, weight, P, by):
+        def handful(_, windows, P_0, weight, P, by):
             few = batch._replace(windows=windows, P_0=P_0, weight=weight)
             by = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), by)
             own = pressure._replace(P=P, by=by)
             y, dy = sensitivities(model, values, directions, windows, own, recalled)
             return reduce(few, y, dy)
 
-        return _in_pieces(handful, HANDFUL, windows, P_0, weight, pressure.P, by)
+        return _in_pieces(handful, HANDFUL, real, windows, P_0, weight, pressure.P, by)
 
-    return _in_pieces(side_by_side, PIECE, batch.windows, batch.P_0, batch.weight)
+    real = jnp.sum(batch.weight > 0)  # what only fills a batch up stands at its end
+    return _in_pieces(side_by_side, PIECE, real, batch.windows, batch.P_0, batch.weight)
 
 
 def sums(

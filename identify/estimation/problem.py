@@ -17,6 +17,7 @@ from hydrojax.identify.estimation.columns import (
     basis,
     batch_of,
     filled,
+    room_of,
     slot_names,
 )
 from hydrojax.identify.estimation.coupled import agreed, stretched
@@ -86,13 +87,15 @@ class Problem:
         model = ParametricRig.of(rig)
         first = sum(model.names.index(n) < model.hydraulic for n in free)
         declared = (first, len(free) - first)
+        batch = batch_of(data)
         return cls(
             model,
             free,
-            batch_of(data),
+            batch,
             declared,
             data.driven_by == "u",
             criteria=criteria,
+            least=room_of(batch),
         )
 
     def slots(self, free: Sequence[str]) -> tuple[int, int]:
@@ -160,7 +163,7 @@ class Problem:
             (jnp.asarray(slope), jnp.asarray(away)),
             boxed(lower),
             boxed(upper),
-            filled(batch),
+            filled(batch, self.least),
             self.simulate,
         )
         out = out._replace(also=self._real(out.also))
@@ -275,7 +278,8 @@ class Problem:
         """The windows' sums of a batch at `values`, along the columns of `free`."""
         model, at = self.model.acting(values, free)
         directions = basis(model, free, slots)
-        out = run_sums(model, at, directions, filled(batch), self.simulate)
+        full = filled(batch, self.least)
+        out = run_sums(model, at, directions, full, self.simulate)
         return jax.tree.map(lambda a: np.asarray(a)[: len(batch.P_0)], out)
 
     def behind(self, values: Float[np.ndarray, "n"]) -> Problem:
@@ -283,7 +287,8 @@ class Problem:
         them, friction and sensors, is fitted at a small part of the cost.
         """
         batch = self.batch
-        P = self._real(run_pressures(*self.model.acting(values), filled(batch)))
+        full = filled(batch, self.least)
+        P = self._real(run_pressures(*self.model.acting(values), full))
         windows = batch.windows._replace(P_a1=P[0], P_a2=P[1])
         return replace(self, batch=batch._replace(windows=windows), simulate=False)
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
+from hydrojax.identify.estimation.columns import thinned
 from hydrojax.identify.estimation.fit import fit_all, in_short
 from hydrojax.identify.estimation.misfit import _in_pieces
 from hydrojax.identify.tracing.loop import search_effects
@@ -25,17 +27,48 @@ def leaking(recorded) -> Case:
     return open_case(folder / "rig.toml", logs[:2], logs[2:])
 
 
-@pytest.mark.parametrize("count", [3, 8, 9, 20])
-def test_pieces_are_even_and_give_the_windows_back(count):
-    sizes = []
+@pytest.mark.parametrize("count, sizes", [(3, {3}), (8, {8}), (9, {8}), (20, {8})])
+def test_pieces_give_the_windows_back(count, sizes):
+    seen = []
 
-    def double(a):
-        sizes.append(a.shape[0])
+    def double(_, a):
+        seen.append(a.shape[0])
         return 2 * a
 
-    out = _in_pieces(double, 8, jnp.arange(count))
+    out = _in_pieces(double, 8, count, jnp.arange(count))
     np.testing.assert_array_equal(out, 2 * np.arange(count))
-    assert max(sizes) == {3: 3, 8: 8, 9: 5, 20: 7}[count]
+    assert set(seen) == sizes
+
+
+@pytest.mark.parametrize("real, pieces", [(1, 1), (8, 1), (9, 2), (17, 3), (20, 3)])
+def test_only_pieces_with_real_windows_are_run(real, pieces):
+    ran = []
+
+    def part(own, a):
+        jax.debug.callback(lambda n: ran.append(int(n)), own)
+        return a + 1
+
+    run = jax.jit(lambda n, a: _in_pieces(part, 8, n, a))
+    out = run(jnp.asarray(real), jnp.arange(20))
+    jax.effects_barrier()
+    np.testing.assert_array_equal(out[:real], 1 + np.arange(real))
+    np.testing.assert_array_equal(out[8 * pieces :], 0)
+    assert sorted(ran) == sorted(min(8, real - 8 * i) for i in range(pieces))
+
+
+def test_fits_of_few_windows_run_the_program_of_all(leaking):
+    """And come to what a program of their own gives."""
+    problem = api._problems(leaking, [])[0]
+    own = replace(problem, batch=thinned(problem.batch, len(problem.batch.P_0) - 5))
+    values = problem.initial_values()
+    alone = replace(own, least=(0, 0, 0)).sums_at(values)
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(
+            a, b, rtol=1e-9, atol=1e-12 * np.max(np.abs(b))
+        ),
+        own.sums_at(values),
+        alone,
+    )
 
 
 def test_some_windows_are_taken_where_that_is_much_less_work(leaking):
