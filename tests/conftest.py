@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hydrojax import cli
-from hydrojax.jax_setup import set_up_jax
+from hydrojax.jax_setup import resident, set_up_jax
 from hydrojax.parameters import parameter_specs, put
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.replay import Motion, Windows
@@ -182,12 +182,30 @@ def set_reference(rig: Rig) -> Rig:
 PROGRAMS_KEPT = 0.1
 """Share of the kernel's mappings that programs may take from one module to the next."""
 
+FILLS = 9 * 2**27
+"""Bytes of a worker from which programs go between two tests: 1.1 GiB, on which the
+next program comes, some 0.4 GiB while it is compiled."""
+
+GROWS = 2**28
+"""Bytes by which it has to grow before they go again: not all of it is programs."""
+
+_full = [FILLS]
+
 
 @pytest.fixture(autouse=True, scope="module")
 def room() -> Iterator[None]:
     """What a module compiled goes when it is done, if it was much."""
     yield
     make_room(PROGRAMS_KEPT)
+
+
+@pytest.fixture(autouse=True)
+def room_in_module() -> Iterator[None]:
+    """What a test compiled goes when it is done, if the worker has grown large."""
+    yield
+    if resident(os.getpid()) > _full[0]:
+        make_room(0.0)
+        _full[0] = max(FILLS, resident(os.getpid()) + GROWS)
 
 
 @pytest.fixture(scope="session")

@@ -27,6 +27,7 @@ from hydrojax.identify.estimation.columns import (
     slot_names,
     thinned,
 )
+from hydrojax.identify.estimation.misfit import PIECE, in_pieces
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.sensitivity import opened_along
 from hydrojax.identify.estimation.starts import placed
@@ -144,7 +145,7 @@ def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
         model,
         at,
         basis(model, free, slots).hydraulic,
-        filled(problem.batch),
+        filled(problem.batch, problem.least),
         jnp.asarray(_weight(problem.batch)),
     )
     columns = slot_names(problem.model, free, slots)
@@ -196,20 +197,24 @@ def _run(
     weight: Float[Array, "rows ticks"],
 ) -> Float[Array, "rows_k rows_k"]:
     """Gram matrix of the balances' sums, each over its displacement's RMS."""
-    n, w = model.hydraulic, batch.windows
-    opened, moved = opened_along(model, values, directions, w)
-    zero = jnp.zeros(directions.shape[1])
+    n, zero = model.hydraulic, jnp.zeros(directions.shape[1])
+    ends = batch.windows.x_fine[..., :: batch.windows.x_fine.shape[-1] - 1]
+    size = jnp.sqrt(jnp.mean((jnp.diff(ends, axis=-1)[..., 0] @ weight.T) ** 2))
 
-    def rows(d, opened):
-        rig = put(model.rig, model.names[:n], values[:n] + directions @ d)
-        return jnp.stack([e @ weight.T for e in imbalance_behind(rig, w, opened)])
+    def some(_, w, own):
+        opened, moved = opened_along(model, values, directions, w)
 
-    def column(*along):
-        return jax.jvp(rows, (zero, opened), along)
+        def rows(d, opened):
+            rig = put(model.rig, model.names[:n], values[:n] + directions @ d)
+            return jnp.stack([e @ weight.T for e in imbalance_behind(rig, w, opened)])
 
-    lacks, by = jax.vmap(column, out_axes=(None, 0))(jnp.eye(len(zero)), moved)
-    swept = jnp.diff(w.x_fine[..., :: w.x_fine.shape[-1] - 1], axis=-1)[..., 0]
-    size = jnp.sqrt(jnp.mean((swept @ weight.T) ** 2))
-    per = jnp.sqrt(batch.weight)[None, :, None] / size
-    stack = jnp.concatenate([by, lacks[None]]) * per
-    return jnp.einsum("icwr,jcwr->ij", stack, stack)
+        def column(*along):
+            return jax.jvp(rows, (zero, opened), along)
+
+        lacks, by = jax.vmap(column, out_axes=(None, 0))(jnp.eye(len(zero)), moved)
+        per = jnp.sqrt(own)[None, :, None] / size
+        stack = jnp.concatenate([by, lacks[None]]) * per
+        return jnp.einsum("icwr,jcwr->wij", stack, stack)
+
+    real = jnp.sum(batch.weight > 0)
+    return jnp.sum(in_pieces(some, PIECE, real, batch.windows, batch.weight), axis=0)

@@ -145,7 +145,7 @@ def filled(batch: Batch, least: Room = (0, 0, 0)) -> Batch:
     """The batch with copies of its last window that weigh nothing, and standstill after
     its motion: logs of other lengths then find their programs compiled. To the size
     `least`, or larger: windows that only fill up cost next to nothing (see
-    `misfit._in_pieces`). A handful keeps a program of its own, which is not as wide.
+    `misfit.in_pieces`). A handful keeps a program of its own, which is not as wide.
     """
     windows, *room = map(max, room_of(batch), least)
     if len(batch.P_0) <= HANDFUL:

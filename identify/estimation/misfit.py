@@ -70,9 +70,7 @@ class Sums(NamedTuple):
     sse: Float[Array | np.ndarray, "windows 3"]
 
 
-def _in_pieces(
-    part: Callable, size: int, real: Array | int, *windows: PyTree
-) -> PyTree:
+def in_pieces(part: Callable, size: int, real: Array | int, *windows: PyTree) -> PyTree:
     """`part` of arrays with the windows first, in pieces of `size`, one after the other
     if they are many: memory then does not grow with the logs' length.
 
@@ -130,10 +128,10 @@ def _of_windows(
             y, dy = sensitivities(model, values, directions, windows, own, recalled)
             return reduce(few, y, dy)
 
-        return _in_pieces(handful, HANDFUL, real, windows, P_0, weight, pressure.P, by)
+        return in_pieces(handful, HANDFUL, real, windows, P_0, weight, pressure.P, by)
 
     real = jnp.sum(batch.weight > 0)  # what only fills a batch up stands at its end
-    return _in_pieces(side_by_side, PIECE, real, batch.windows, batch.P_0, batch.weight)
+    return in_pieces(side_by_side, PIECE, real, batch.windows, batch.P_0, batch.weight)
 
 
 def sums(

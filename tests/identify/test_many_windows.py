@@ -13,7 +13,7 @@ from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation.columns import thinned
 from hydrojax.identify.estimation.fit import fit_all, in_short
-from hydrojax.identify.estimation.misfit import _in_pieces
+from hydrojax.identify.estimation.misfit import in_pieces
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing
 
@@ -35,7 +35,7 @@ def test_pieces_give_the_windows_back(count, sizes):
         seen.append(a.shape[0])
         return 2 * a
 
-    out = _in_pieces(double, 8, count, jnp.arange(count))
+    out = in_pieces(double, 8, count, jnp.arange(count))
     np.testing.assert_array_equal(out, 2 * np.arange(count))
     assert set(seen) == sizes
 
@@ -48,7 +48,7 @@ def test_only_pieces_with_real_windows_are_run(real, pieces):
         jax.debug.callback(lambda n: ran.append(int(n)), own)
         return a + 1
 
-    run = jax.jit(lambda n, a: _in_pieces(part, 8, n, a))
+    run = jax.jit(lambda n, a: in_pieces(part, 8, n, a))
     out = run(jnp.asarray(real), jnp.arange(20))
     jax.effects_barrier()
     np.testing.assert_array_equal(out[:real], 1 + np.arange(real))
