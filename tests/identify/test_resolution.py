@@ -16,6 +16,7 @@ import pytest
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.preparation.noise import SensorNoise, sensor_noise_of
+from hydrojax.identify.preparation.resolution import _largest
 from hydrojax.logs.log import Log
 from tests import generator
 
@@ -88,6 +89,30 @@ def coarse_case(folder: Path, monkeypatch, bits: int, effects=None) -> Case:
     generator.write_case(folder, 1, effects)
     logs = [folder / f"fit_{i}.csv" for i in (1, 2)]
     return open_case(folder / "rig.toml", logs, [folder / "validate.csv"])
+
+
+def _changes(spread: float) -> np.ndarray:
+    """What noise moves in 200 windows, whose sizes differ: [W, T, 3]."""
+    rng = np.random.default_rng(3)
+    size = np.exp(spread * rng.standard_normal((200, 1, 3)))
+    return size * rng.standard_normal((200, 25, 3))
+
+
+def test_stiffer_windows_count_in_full():
+    """Near an end a chamber answers by twice and more what it does elsewhere."""
+    change, log = _changes(0.4), np.repeat([0, 1], 100)
+    square = np.mean(change**2, axis=1)
+    plain = np.sqrt(np.maximum(square[:100].mean(0), square[100:].mean(0)))
+    np.testing.assert_allclose(_largest(change, log), plain, rtol=0.03)
+
+
+def test_windows_that_run_wild_do_not_make_the_noise():
+    change, log = _changes(0.4), np.repeat([0, 1], 100)
+    calm = _largest(change, log)
+    change[[5, 50, 120]] *= 100
+    assert np.all(_largest(change, log) < 1.15 * calm)
+    change[::5] *= 100  # but one in five is no exception
+    assert np.all(_largest(change, log) > 10 * calm)
 
 
 def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
