@@ -74,8 +74,9 @@ class Counterbalance(LineEffect):
     It opens with the chamber's pressure and, `ratio` times, with the other chamber's,
     which comes with the lag `tau` of a damped pilot line: to the share
     `s = (P_i + ratio P_j - P_set) / dP_full`. Outflow Q loses `k_i Q^2 / s^2` in it,
-    none at `k_i = 0` (no valve in the line of chamber i); inflow is free. `V_line` of
-    what a chamber holds lies between valve and edge, at a pressure of its own.
+    none at `k_i = 0` (no valve in the line of chamber i), and inflow loses
+    `check_loss k_i Q^2` in its check valve. `V_line` of what a chamber holds lies
+    between valve and edge, at a pressure of its own.
     """
 
     name = "counterbalance"
@@ -100,6 +101,9 @@ class Counterbalance(LineEffect):
     V_line: Float[Array, ""] = param(
         "m^3", 5e-4, 1e-5, 2e-2, "volume of a line between valve and edges", prior=5e-4
     )
+    check_loss: Float[Array, ""] = param(
+        "1", 0.0, 0.0, 10.0, "loss of what enters, over that when open", prior=1.0
+    )
 
     def _opens(self, own, pilot):
         share = (own + self.ratio * pilot - self.P_set) / self.dP_full
@@ -123,6 +127,9 @@ class Counterbalance(LineEffect):
     def loss(self, memory):
         share_1, share_2 = memory[1]
         return self.k_1 / share_1**2, self.k_2 / share_2**2
+
+    def check(self, memory):
+        return self.check_loss * self.k_1, self.check_loss * self.k_2
 
     def volume(self):
         return self.V_line, self.V_line

@@ -41,11 +41,21 @@ class Lines(NamedTuple):
     """What stands in the lines between chambers and metering edges.
 
     `memory` is that of each effect; `drop` says by how much the pressure at the edges
-    is below that of chambers 1 and 2 (Pa, >= 0).
+    is below that of chambers 1 and 2 (Pa).
     """
 
     memory: tuple
     drop: tuple[Float[Array, "*batch"], Float[Array, "*batch"]]
+
+
+class Losses(NamedTuple):
+    """What a flow Q loses in the line of a chamber, over Q^2, Pa s^2/m^6.
+
+    `out` holds for what leaves the chamber, `back` for what enters it.
+    """
+
+    out: Float[Array, "*batch"]
+    back: Float[Array, "*batch"]
 
 
 class Point(NamedTuple):

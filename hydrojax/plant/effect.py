@@ -129,8 +129,8 @@ class LineEffect(Effect):
     `init(P_1, P_2)` is its memory after a long rest at these pressures,
     `step(memory, P_1, P_2, h)` that over a tick of length `h` that begins at them.
     What leaves chamber i as a flow Q loses `r_i Q^2` in it, `loss(memory)` being both
-    r_i; what enters is free. `volume()` is what lies between it and the edges, of
-    what the chambers hold in all.
+    r_i, and what enters loses as much by `check(memory)`. `volume()` is what lies
+    between it and the edges, of what the chambers hold in all.
     """
 
     place = "line"
@@ -153,6 +153,10 @@ class LineEffect(Effect):
     def loss(self, memory) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Loss of what leaves chambers 1 and 2, Pa s^2/m^6."""
         raise NotImplementedError
+
+    def check(self, memory) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Loss of what enters chambers 1 and 2 by its check valves, Pa s^2/m^6."""
+        return jnp.zeros(()), jnp.zeros(())
 
     def volume(self) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         """What the lines of chambers 1 and 2 hold between it and the edges, m^3."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import Lines, Point, refilled
+from hydrojax.plant.chambers import Lines, Losses, Point, refilled
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.valve import sides
@@ -128,20 +128,24 @@ def settled_drops(rig: Rig, at: Point, line: Lines) -> Lines:
     a, b = sides(*at.opening) if len(at.opening) == 1 else at.opening
     least = tuple(jnp.maximum(o, LEAKS) for o in (a, b))
     q = rig.flows(at._replace(opening=least))[0]
-    for P, out, r in zip((at.P_a1, at.P_a2), q, rig.line_losses(line), strict=True):
-        lost = r * jnp.minimum(out, 0.0) ** 2
-        head = jnp.maximum(P - at.P_r, 1.0)
-        drops.append(lost / (1 + lost / head))
+    for P, Q, r in zip((at.P_a1, at.P_a2), q, rig.line_losses(line), strict=True):
+        leaves = Q < 0
+        lost = jnp.where(leaves, r.out, r.back) * Q**2
+        head = jnp.maximum(jnp.where(leaves, P - at.P_r, at.P_s - P), 1.0)
+        drops.append(jnp.where(leaves, 1, -1) * lost / (1 + lost / head))
     return line._replace(drop=tuple(drops))
 
 
 def _lost(
-    r: Float[Array, "*batch"], b: Float[Array, "*batch"], goal: Float[Array, "*batch"]
+    losses: Losses, b: Float[Array, "*batch"], goal: Float[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
-    """The drop `r Q^2` at which `r Q^2 + b Q = goal`, Pa; none where oil enters."""
-    goal = jnp.where(goal > 0, goal, 0.0)
-    Q = 2 * goal / (b + jnp.sqrt(b * b + 4 * r * goal))
-    return r * Q * Q
+    """The drop `r Q|Q|` of what leaves at which `r Q|Q| + b Q = goal`, Pa; negative
+    where oil enters.
+    """
+    leaves = goal > 0
+    r, size = jnp.where(leaves, losses.out, losses.back), jnp.where(leaves, goal, -goal)
+    Q = 2 * size / (b + jnp.sqrt(b * b + 4 * r * size))
+    return jnp.where(leaves, 1, -1) * r * Q * Q
 
 
 def _edges(rig: Rig, at: Point) -> tuple[tuple, tuple]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.plant import stretch
-from hydrojax.plant.chambers import Chambers, Lines, Point, refilled
+from hydrojax.plant.chambers import Chambers, Lines, Losses, Point, refilled
 from hydrojax.plant.effect import Effect, Spool, SpoolLimit
 from hydrojax.plant.friction import Friction, Sliding
 from hydrojax.plant.layout import Layout
@@ -140,14 +140,16 @@ class Rig(eqx.Module):
         )
         return line._replace(memory=memory)
 
-    def line_losses(
-        self, line: Lines
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """What the flows out of chambers 1 and 2 lose in the lines, Pa s^2/m^6."""
-        one = two = jnp.zeros(())
+    def line_losses(self, line: Lines) -> tuple[Losses, Losses]:
+        """What flows lose in the lines of chambers 1 and 2."""
+        nothing = Losses(jnp.zeros(()), jnp.zeros(()))
+        one = two = nothing
         for effect, memory in zip(self.line, line.memory, strict=True):
-            loss_1, loss_2 = effect.loss(memory)
-            one, two = one + loss_1, two + loss_2
+            ways = zip(effect.loss(memory), effect.check(memory), strict=True)
+            one, two = (
+                Losses(r.out + out, r.back + back)
+                for r, (out, back) in zip((one, two), ways, strict=True)
+            )
         return one, two
 
     def flows(
