@@ -51,11 +51,11 @@ class Lines(NamedTuple):
 class Losses(NamedTuple):
     """What a flow Q loses in the line of a chamber, over Q^2, Pa s^2/m^6.
 
-    `out` holds for what leaves the chamber, `back` for what enters it.
+    `out` holds for what leaves the chamber, `into` for what enters it.
     """
 
     out: Float[Array, "*batch"]
-    back: Float[Array, "*batch"]
+    into: Float[Array, "*batch"]
 
 
 class Point(NamedTuple):

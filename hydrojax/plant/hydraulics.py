@@ -130,7 +130,7 @@ def settled_drops(rig: Rig, at: Point, line: Lines) -> Lines:
     q = rig.flows(at._replace(opening=least))[0]
     for P, Q, r in zip((at.P_a1, at.P_a2), q, rig.line_losses(line), strict=True):
         leaves = Q < 0
-        lost = jnp.where(leaves, r.out, r.back) * Q**2
+        lost = jnp.where(leaves, r.out, r.into) * Q**2
         head = jnp.maximum(jnp.where(leaves, P - at.P_r, at.P_s - P), 1.0)
         drops.append(jnp.where(leaves, 1, -1) * lost / (1 + lost / head))
     return line._replace(drop=tuple(drops))
@@ -143,7 +143,7 @@ def _lost(
     where oil enters.
     """
     leaves = goal > 0
-    r, size = jnp.where(leaves, losses.out, losses.back), jnp.where(leaves, goal, -goal)
+    r, size = jnp.where(leaves, losses.out, losses.into), jnp.where(leaves, goal, -goal)
     Q = 2 * size / (b + jnp.sqrt(b * b + 4 * r * size))
     return jnp.where(leaves, 1, -1) * r * Q * Q
 

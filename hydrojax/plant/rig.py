@@ -147,8 +147,8 @@ class Rig(eqx.Module):
         for effect, memory in zip(self.line, line.memory, strict=True):
             ways = zip(effect.loss(memory), effect.check(memory), strict=True)
             one, two = (
-                Losses(r.out + out, r.back + back)
-                for r, (out, back) in zip((one, two), ways, strict=True)
+                Losses(r.out + out, r.into + into)
+                for r, (out, into) in zip((one, two), ways, strict=True)
             )
         return one, two
 

@@ -199,7 +199,8 @@ def _run(
     """Gram matrix of the balances' sums, each over its displacement's RMS."""
     n, zero = model.hydraulic, jnp.zeros(directions.shape[1])
     ends = batch.windows.x_fine[..., :: batch.windows.x_fine.shape[-1] - 1]
-    size = jnp.sqrt(jnp.mean((jnp.diff(ends, axis=-1)[..., 0] @ weight.T) ** 2))
+    swept = (jnp.diff(ends, axis=-1)[..., 0] @ weight.T) ** 2
+    size = jnp.sqrt(jnp.average(jnp.mean(swept, axis=1), weights=batch.weight))
 
     def some(_, w, own):
         opened, moved = opened_along(model, values, directions, w)

@@ -69,7 +69,11 @@ class Resolved:
 
 WILD = 2.0
 """RMS in a window over that which nine in ten windows stay below, from which a replay
-has run into an end there; in six machines 97 windows of 100 were below 1.5."""
+is taken to have run into an end there."""
+
+SHAKEN = 0.1
+"""Share of the largest change of position from which a window's counts as one: a sensor
+that only rounds says the same again at rest."""
 
 
 Ready = Callable[[Sequence[Log], Float[np.ndarray, "3"]], Data]
@@ -157,7 +161,10 @@ def _position(
             replace(problem, batch=batch_of(data)).residuals_at(values)
             for data in (one, other)
         ]
-        return _largest(left[1] - left[0], one.log)
+        shaken = np.sqrt(np.mean((other.windows.x - one.windows.x) ** 2, axis=1))
+        return _largest(
+            left[1] - left[0], one.log, shaken > SHAKEN * np.max(shaken, initial=0.0)
+        )
 
     def noise_by(problem: Problem, values: np.ndarray) -> np.ndarray:
         return np.hypot(noise, brought(problem, values))
@@ -310,21 +317,22 @@ def _matters(
     )
 
 
-def _largest(change: np.ndarray, log: np.ndarray) -> np.ndarray:
+def _largest(change: np.ndarray, log: np.ndarray, shaken: np.ndarray) -> np.ndarray:
     """RMS by channel, [3], of [W, T, 3], in that of the logs where it is largest.
 
     A replay that is off may run into a supply, a tank or an end in some window, where
-    the least change decides: no window counts for more than `WILD` times as much as
-    nine in ten do. Three of a hundred had brought the noise of one of the machines in
-    `benchmarks.recorded` from 10 kPa to 130 kPa.
+    the least change decides: no window counts for more than `WILD` times the RMS that
+    nine in ten stay below, of those in which the position changed (`shaken`, [W]).
     """
     square = np.mean(change**2, axis=1)
-    own = (square[log == i] for i in np.unique(log))
-    return np.sqrt(np.max([_mean_of_most(a) for a in own], axis=0))
+    each = [_mean_of_most(square[log == i], shaken[log == i]) for i in np.unique(log)]
+    return np.sqrt(np.max(each, axis=0))
 
 
-def _mean_of_most(square: np.ndarray) -> np.ndarray:
-    most = WILD**2 * np.quantile(square, 0.9, axis=0)
+def _mean_of_most(square: np.ndarray, shaken: np.ndarray) -> np.ndarray:
+    if not shaken.any():
+        return np.mean(square, axis=0)
+    most = WILD**2 * np.quantile(square[shaken], 0.9, axis=0)
     return np.mean(np.minimum(square, most), axis=0)
 
 

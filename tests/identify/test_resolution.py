@@ -103,16 +103,28 @@ def test_stiffer_windows_count_in_full():
     change, log = _changes(0.4), np.repeat([0, 1], 100)
     square = np.mean(change**2, axis=1)
     plain = np.sqrt(np.maximum(square[:100].mean(0), square[100:].mean(0)))
-    np.testing.assert_allclose(_largest(change, log), plain, rtol=0.03)
+    every = np.ones(200, bool)
+    np.testing.assert_allclose(_largest(change, log, every), plain, rtol=0.03)
+
+
+def test_windows_at_rest_do_not_hide_those_that_move():
+    """A sensor that rounds moves nothing at rest: in nineteen of twenty here."""
+    change, log = _changes(0.2), np.repeat([0, 1], 100)
+    moves = np.arange(200) % 20 == 3
+    change[~moves] *= 1e-6
+    square = np.mean(change**2, axis=1)
+    plain = np.sqrt(np.maximum(square[:100].mean(0), square[100:].mean(0)))
+    np.testing.assert_allclose(_largest(change, log, moves), plain, rtol=0.03)
 
 
 def test_windows_that_run_wild_do_not_make_the_noise():
     change, log = _changes(0.4), np.repeat([0, 1], 100)
-    calm = _largest(change, log)
+    every = np.ones(200, bool)
+    calm = _largest(change, log, every)
     change[[5, 50, 120]] *= 100
-    assert np.all(_largest(change, log) < 1.15 * calm)
+    assert np.all(_largest(change, log, every) < 1.15 * calm)
     change[::5] *= 100  # but one in five is no exception
-    assert np.all(_largest(change, log) > 10 * calm)
+    assert np.all(_largest(change, log, every) > 10 * calm)
 
 
 def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
