@@ -1,9 +1,9 @@
 """What a gain set costs in a sweep, and what a very long table of jobs costs by itself.
 
 Run as `python -m benchmarks.scale gains` (two sweeps, and one on a cluster that loses a
-worker), `devices` (sweeps that measure, on one and on two devices of the processor),
-`vmapped` (like logs fitted side by side) or `table` (a million rows, a tenth of them
-with a result, nothing fitted). What is printed is what docs/scale.md says.
+worker), `devices` (sweeps that measure, on one and on two devices of the processor) or
+`table` (a million rows, a tenth of them with a result, nothing fitted). What is printed
+is what docs/scale.md says.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ import psutil
 import xarray as xr
 
 import hydrojax
-from benchmarks.fleet import Watch, make_logs
-from hydrojax.jax_setup import set_up_jax, user_cache
+from benchmarks.fleet import Watch
 from hydrojax.workflows.fleet import run as fleet
 from hydrojax.workflows.fleet.report import write_fleet_report
 from hydrojax.workflows.fleet.work import memory
@@ -102,55 +101,6 @@ def devices(folder: Path) -> None:
         print(f"{count} devices: {1e3 * each:.2f} ms a gain set beyond the start")
 
 
-def side_by_side(folder: Path, count: int = 6) -> None:
-    """One solve on each of some like logs, one after the other and under `vmap`."""
-    set_up_jax(user_cache())
-    import jax
-    import jax.numpy as jnp
-
-    from hydrojax.identify.case import open_case
-    from hydrojax.identify.estimation import problem as fits
-    from hydrojax.identify.estimation.columns import basis
-    from hydrojax.identify.estimation.solve import minimise
-    from hydrojax.rigfile.build import build_rig
-
-    make_logs(folder, 4 * count, 4)
-    logs = sorted(folder.glob("fit_*.parquet"))
-    cases = [open_case(folder / "rig.toml", [log]) for log in logs]
-    spec = cases[0].spec
-    free = fits.free_parameters(spec)
-    rig = build_rig(spec)
-    made = [fits.Problem.of(rig, free, case.fit) for case in cases]
-    one, names = made[0], tuple(free)
-    directions = basis(one.model, names, one.slots(names))
-    k = len(names)
-    values, none = one.initial_values(), (jnp.zeros((0, k)), jnp.zeros(0))
-
-    def solve(batch):
-        def gram(d):
-            return fits._gram(one.model, values, directions, none, batch, True, d)
-
-        return minimise(gram, jnp.zeros(k), jnp.full(k, -0.5), jnp.full(k, 0.5)).at
-
-    batches = [jax.tree.map(jnp.asarray, fits.filled(p.batch)) for p in made]
-    like = [b for b in batches if b.motion.h.shape == batches[0].motion.h.shape]
-    batches = [b for b in like if b.P_0.shape == batches[0].P_0.shape]
-    together = jax.tree.map(lambda *a: jnp.stack(a), *batches)
-    alone, many = jax.jit(solve), jax.jit(jax.vmap(solve))
-
-    def seconds(call) -> float:
-        took = []
-        for _ in range(6):
-            began = time.perf_counter()
-            jax.block_until_ready(call())
-            took.append(time.perf_counter() - began)
-        return min(took[1:])
-
-    own = seconds(lambda: [alone(batch) for batch in batches])
-    side = seconds(lambda: many(together)) / own
-    print(f"{len(batches)} like logs: fitted side by side, {side:.2f} times as long")
-
-
 def long_table(folder: Path, rows: int) -> None:
     """What a table of so many rows costs when all its results are there."""
     source, out = folder / "long.csv", folder / "long"
@@ -193,7 +143,7 @@ def long_table(folder: Path, rows: int) -> None:
 def main() -> None:
     """One part of the study."""
     given = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    given.add_argument("part", choices=("gains", "devices", "table", "vmapped"))
+    given.add_argument("part", choices=("gains", "devices", "table"))
     given.add_argument("--out", type=Path, default=Path("hydrojax-scale-study"))
     given.add_argument("--rows", type=int, default=1_000_000)
     words = given.parse_args()
@@ -202,8 +152,6 @@ def main() -> None:
         gains(words.out)
     elif words.part == "devices":
         devices(words.out)
-    elif words.part == "vmapped":
-        side_by_side(words.out)
     else:
         long_table(words.out, words.rows)
 

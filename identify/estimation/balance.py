@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 from scipy.optimize import lsq_linear
 
 from hydrojax.identify.estimation.columns import (
+    HANDFUL,
     Batch,
     ParametricRig,
     basis,
@@ -27,7 +28,7 @@ from hydrojax.identify.estimation.columns import (
     slot_names,
     thinned,
 )
-from hydrojax.identify.estimation.misfit import PIECE, in_pieces
+from hydrojax.identify.estimation.misfit import Span, in_pieces
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.sensitivity import opened_along
 from hydrojax.identify.estimation.starts import placed
@@ -217,5 +218,8 @@ def _run(
         stack = jnp.concatenate([by, lacks[None]]) * per
         return jnp.einsum("icwr,jcwr->wij", stack, stack)
 
-    real = jnp.sum(batch.weight > 0)
-    return jnp.sum(in_pieces(some, PIECE, real, batch.windows, batch.weight), axis=0)
+    handfuls = Span(0, -(-jnp.sum(batch.weight > 0) // HANDFUL))
+    each = in_pieces(
+        some, HANDFUL, handfuls, batch.windows, batch.weight, most=len(swept)
+    )
+    return jnp.sum(each, axis=0)

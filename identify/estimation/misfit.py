@@ -8,8 +8,9 @@ pressures eliminated, and the large Jacobian is never stored beyond that.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+import functools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -26,22 +27,21 @@ from hydrojax.identify.estimation.columns import (
     ParametricRig,
 )
 from hydrojax.identify.estimation.sensitivity import (
+    Recalled,
     driven_pressures,
+    memory_names,
     recall,
+    recall_along,
     sensitivities,
 )
-from hydrojax.identify.estimation.solve import Fit, minimise
+from hydrojax.jax_setup import cores
 from hydrojax.parameters import put
-from hydrojax.plant.replay import pressures
+from hydrojax.plant.replay import Motion, Past, pressures
 from hydrojax.programs.compiled import program_of_pytrees
 
 START_SPREAD = 3e5
 """Prior on a window's initial pressure about its first guess, Pa: wide, it only keeps
 a chamber that no channel sees in place."""
-
-PIECE = 96
-"""Windows whose pressures are run side by side, at most: with 256 a step of a fit takes
-40 % longer where windows are short (28 ticks), and as long where they have 250."""
 
 
 def _own_prior(white: Float[Array, "3"]) -> Float[Array, "unknowns unknowns"]:
@@ -59,7 +59,7 @@ class Sums(NamedTuple):
 
     Attributes:
         gram: products of [sensitivities, residual], whitened, with what the window has
-            of its own eliminated; no rows where they are summed already.
+            of its own eliminated.
         start: solution of what was eliminated, of `NUISANCE` unknowns (of the residual,
             with the sign turned).
         sse: squared residuals by channel, SI.
@@ -70,17 +70,40 @@ class Sums(NamedTuple):
     sse: Float[Array | np.ndarray, "windows 3"]
 
 
-def in_pieces(part: Callable, size: int, real: Array | int, *windows: PyTree) -> PyTree:
-    """`part` of arrays with the windows first, in pieces of `size`, one after the other
-    if they are many: memory then does not grow with the logs' length.
+PIECE = 96
+"""Windows whose pressures are run side by side, at most: with 32 or 256 a step of a fit
+takes up to half as long again."""
 
-    Only pieces with some of the first `real` windows in them are run, so that one
-    program serves batches that fill it by much and by little: rows of the others are 0.
-    `part` is given how many of its windows are real, and the windows.
+PIECES = 4
+"""Pieces that one call runs at most, so that memory does not grow with the logs."""
+
+
+class Span(NamedTuple):
+    """Some of the pieces that windows are cut into.
+
+    Attributes:
+        first: of them.
+        end: the first after them.
+    """
+
+    first: Array | np.integer | int
+    end: Array | np.integer | int
+
+
+def in_pieces(
+    part: Callable, size: int, span: Span, *windows: PyTree, most: int = PIECES
+) -> PyTree:
+    """`part` of arrays with the windows first, in pieces of `size`, one after the other
+    if they are many.
+
+    Only the pieces of the span are run, so that one program serves batches that fill it
+    by much and by little, and several threads. Their rows stand at the head of what
+    comes back, which has room for `most` pieces; those of the rest are 0. `part` is
+    given which piece it has, and the windows.
     """
     count = jax.tree.leaves(windows)[0].shape[0]
     if count <= size:
-        return part(real, *windows)
+        return part(0, *windows)
     pieces = -(-count // size)
 
     def cut(a):
@@ -89,19 +112,20 @@ def in_pieces(part: Callable, size: int, real: Array | int, *windows: PyTree) ->
         return a[index].reshape(pieces, size, *a.shape[1:])
 
     cuts = jax.tree.map(cut, windows)
+    first, end = span
 
     def piece(i):
-        left = jnp.clip(real - i * size, 0, size)
-        return part(left, *jax.tree.map(lambda a: a[i], cuts))
+        return part(i, *jax.tree.map(lambda a: a[i], cuts))
 
     def put_in(i, out):
-        return jax.tree.map(lambda a, b: a.at[i].set(b), out, piece(i))
+        return jax.tree.map(lambda a, b: a.at[i - first].set(b), out, piece(i))
 
+    room = min(pieces, most)
     none = jax.tree.map(
-        lambda a: jnp.zeros((pieces, *a.shape), a.dtype), jax.eval_shape(piece, 0)
+        lambda a: jnp.zeros((room, *a.shape), a.dtype), jax.eval_shape(piece, 0)
     )
-    out = jax.lax.fori_loop(0, -(-real // size), put_in, none)
-    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], out)
+    out = jax.lax.fori_loop(first, end, put_in, none)
+    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), out)
 
 
 def _of_windows(
@@ -110,12 +134,14 @@ def _of_windows(
     directions: Basis,
     batch: Batch,
     simulate: bool,
+    recalled: Recalled,
+    size: int,
+    span: Span,
     reduce: Callable[[Batch, Array, Array], PyTree],
 ) -> PyTree:
     """`reduce` of a batch, its predictions and their derivatives, window by window."""
-    recalled = recall(model, values, directions, batch.motion)
 
-    def side_by_side(real, windows, P_0, weight):
+    def side_by_side(i, windows, P_0, weight):
         own = batch._replace(windows=windows, P_0=P_0, weight=weight)
         pressure = driven_pressures(model, values, directions, own, simulate)
         # Windows first, as all that is cut into handfuls has them.
@@ -128,10 +154,13 @@ def _of_windows(
             y, dy = sensitivities(model, values, directions, windows, own, recalled)
             return reduce(few, y, dy)
 
-        return in_pieces(handful, HANDFUL, real, windows, P_0, weight, pressure.P, by)
+        # What only fills a batch up stands at its end.
+        real = jnp.clip(jnp.sum(batch.weight > 0) - i * size, 0, len(P_0))
+        handfuls = Span(0, -(-real // HANDFUL))
+        each = (windows, P_0, weight, pressure.P, by)
+        return in_pieces(handful, HANDFUL, handfuls, *each)
 
-    real = jnp.sum(batch.weight > 0)  # what only fills a batch up stands at its end
-    return in_pieces(side_by_side, PIECE, real, batch.windows, batch.P_0, batch.weight)
+    return in_pieces(side_by_side, size, span, batch.windows, batch.P_0, batch.weight)
 
 
 def sums(
@@ -140,9 +169,18 @@ def sums(
     directions: Basis,
     batch: Batch,
     simulate: bool,
+    recalled: Recalled,
+    size: int,
+    span: Span,
 ) -> Sums:
-    """The windows' Gram matrices at `values` along `directions`; see `Sums`."""
-    return _of_windows(model, values, directions, batch, simulate, _sums)
+    """The windows' Gram matrices at `values` along `directions`; see `Sums`.
+
+    `recalled` is the motion's memory at `values`; only the pieces of `span`, of `size`
+    windows each, are summed.
+    """
+    return _of_windows(
+        model, values, directions, batch, simulate, recalled, size, span, _sums
+    )
 
 
 def _sums(batch: Batch, y: Array, dy: Array) -> Sums:
@@ -185,7 +223,13 @@ def _leftover(residual: Array, dy: Array, white: Array, start: Array) -> Array:
 
 
 def leftover(
-    model: ParametricRig, values: Float[Array, "n"], batch: Batch, simulate: bool
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    batch: Batch,
+    simulate: bool,
+    recalled: Recalled,
+    size: int,
+    span: Span,
 ) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "windows 2"]]:
     """Measured minus replayed, SI, and the error of the initial pressures, Pa.
 
@@ -193,7 +237,9 @@ def leftover(
     """
     n = len(model.names)
     none = Basis(jnp.zeros((model.hydraulic, 0)), jnp.zeros((n - model.hydraulic, 0)))
-    return _of_windows(model, values, none, batch, simulate, _leftover_of)
+    return _of_windows(
+        model, values, none, batch, simulate, recalled, size, span, _leftover_of
+    )
 
 
 def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:
@@ -207,45 +253,96 @@ def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:
     return _leftover(residual, dy, white, start), start[:, :2]
 
 
-def _gram(
-    model: ParametricRig,
-    values: Array,
-    directions: Basis,
-    prior: tuple[Array, Array],
-    batch: Batch,
-    simulate: bool,
-    d: Array,
-) -> tuple[Array, Sums]:
-    """Gram matrix at `values` moved by `d` along the directions, with priors; and the
-    sums there, without the matrices of the single windows.
+def on_all_cores(run: Callable[[int, Span], PyTree], batch: Batch) -> PyTree:
+    """What `run` gives of the pieces of a batch, each core at work on some of them.
+
+    Args:
+        run: is given how many windows a piece has, and some of the pieces.
+        batch: of which only the windows with a weight are run.
+
+    Returns:
+        NumPy's arrays with the windows first, of which those that only fill the last
+        piece up stand at the end.
     """
-    k_1 = directions.hydraulic.shape[1]
-    move = jnp.concatenate([directions.hydraulic @ d[:k_1], directions.other @ d[k_1:]])
-    at = sums(model, values + move, directions, batch, simulate)
-    total = jnp.sum(at.gram, 0)
-    slope, at_zero = prior  # what is known beforehand is more residual rows
-    rows = jnp.concatenate([slope, (slope @ d + at_zero)[:, None]], axis=1)
-    return total + rows.T @ rows, at._replace(gram=at.gram[:, :0])
+    each = -(-len(batch.P_0) // (HANDFUL * cores())) * HANDFUL
+    size = min(each, PIECE, len(batch.P_0))
+    pieces = -(-int(np.sum(np.asarray(batch.weight) > 0)) // size)
+    calls = max(min(cores(), pieces), -(-pieces // PIECES))
+    ends = np.linspace(0, pieces, calls + 1).astype(np.int32)
+
+    def part(first: np.int32, end: np.int32) -> PyTree:
+        out = run(size, Span(first, end))
+        return jax.tree.map(lambda a: np.asarray(a)[: (end - first) * size], out)
+
+    parts = at_once(part, ends[:-1], ends[1:])
+    return jax.tree.map(lambda *a: np.concatenate(a), *parts)
+
+
+def at_once(part: Callable, *given: Sequence) -> list:
+    """`part` of the first of all that is given, of the second, ...; on all cores."""
+    alone = cores() == 1 or len(given[0]) == 1
+    return list(map(part, *given) if alone else _pool().map(part, *given))
+
+
+@functools.cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(cores(), "pieces")
 
 
 @program_of_pytrees
-def run_fit(
+def run_recall(model: ParametricRig, values: Float[Array, "n"], motion: Motion) -> Past:
+    """`recall`, compiled."""
+    return recall(model, values, motion)
+
+
+@program_of_pytrees
+def run_recall_along(
     model: ParametricRig,
     values: Float[Array, "n"],
-    directions: Basis,
-    prior: tuple[Float[Array, "rows k"], Float[Array, "rows"]],
-    lower: Float[Array, "k"],
-    upper: Float[Array, "k"],
-    batch: Batch,
-    simulate: bool,
-) -> Fit:
-    """The best fit from `values`, in units of the directions; compiled.
+    which: np.integer,
+    motion: Motion,
+) -> Past:
+    """`recall_along`, compiled."""
+    return recall_along(model, values, which, motion)
 
-    `prior` are residual rows of what is known beforehand: their derivative by the
-    coordinates, and their value at `values`.
+
+def memory_along(
+    model: ParametricRig, directions: Basis
+) -> Float[np.ndarray, "names columns"]:
+    """How the directions move each of `memory_names`."""
+    hydraulic, other = (np.asarray(d) for d in directions)
+    k_1, k_2 = hydraulic.shape[1], other.shape[1]
+    every = np.zeros((len(model.names), k_1 + k_2))
+    every[: model.hydraulic, :k_1] = hydraulic
+    every[model.hydraulic :, k_1:] = other
+    return every[[model.names.index(m) for m in memory_names(model.rig)]]
+
+
+def recall_all(
+    model: ParametricRig,
+    values: Float[np.ndarray, "n"],
+    along: Float[np.ndarray, "names columns"] | None,
+    motion: Motion,
+) -> Recalled:
+    """What friction remembers, and how it moves; on all cores.
+
+    `along` is what `memory_along` gives, or None where no derivative is wanted.
     """
-    gram = partial(_gram, model, values, directions, prior, batch, simulate)
-    return minimise(gram, jnp.zeros_like(lower), lower, upper)
+    moved = np.flatnonzero(np.any(along != 0, axis=1)) if along is not None else []
+
+    def part(which: int) -> Past:
+        if which < 0:
+            return run_recall(model, values, motion)
+        by = run_recall_along(model, values, np.int32(which), motion)
+        return jax.tree.map(np.asarray, by)
+
+    past, *by = at_once(part, [-1, *moved])
+    if along is None:
+        return Recalled(past, None, np.zeros((0, 0)))
+    spare = max(len(moved) % 2, 2 - len(moved))  # few programs serve any number
+    by += [jax.tree.map(np.zeros_like, past)] * spare
+    stacked = jax.tree.map(lambda *a: np.stack(a), *by)
+    return Recalled(past, stacked, np.pad(along[moved], ((0, spare), (0, 0))))
 
 
 @program_of_pytrees
@@ -255,17 +352,26 @@ def run_sums(
     directions: Basis,
     batch: Batch,
     simulate: bool,
+    recalled: Recalled,
+    size: int,
+    span: Span,
 ) -> Sums:
     """`sums`, compiled."""
-    return sums(model, values, directions, batch, simulate)
+    return sums(model, values, directions, batch, simulate, recalled, size, span)
 
 
 @program_of_pytrees
 def run_leftover(
-    model: ParametricRig, values: Float[Array, "n"], batch: Batch, simulate: bool
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    batch: Batch,
+    simulate: bool,
+    recalled: Recalled,
+    size: int,
+    span: Span,
 ) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "windows 2"]]:
     """`leftover`, compiled."""
-    return leftover(model, values, batch, simulate)
+    return leftover(model, values, batch, simulate, recalled, size, span)
 
 
 @program_of_pytrees
@@ -275,24 +381,3 @@ def run_pressures(
     """Both pressures of the windows as the model has them, Pa; compiled."""
     rig = put(model.rig, model.names, values)
     return pressures(rig, batch.windows, jnp.asarray(batch.P_0))
-
-
-@program_of_pytrees
-def run_starts(
-    model: ParametricRig,
-    values: Float[Array, "n"],
-    starts: Float[Array, "starts k"],
-    directions: Basis,
-    lower: Float[Array, "k"],
-    upper: Float[Array, "k"],
-    batch: Batch,
-    simulate: bool,
-) -> Fit:
-    """Fits from several starts at once, vmapped; in units of the directions."""
-    none = (jnp.zeros((0, lower.size)), jnp.zeros(0))
-
-    def one(start):
-        gram = partial(_gram, model, values, directions, none, batch, simulate)
-        return minimise(gram, start, lower, upper)
-
-    return jax.vmap(one)(starts)

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
+from scipy.linalg import block_diag
 
 from hydrojax.identify.estimation.columns import (
+    Basis,
     Batch,
     ParametricRig,
     Room,
@@ -25,15 +26,19 @@ from hydrojax.identify.estimation.known import Free, Known, prior_rows
 from hydrojax.identify.estimation.misfit import (
     START_SPREAD,
     Sums,
-    run_fit,
+    memory_along,
+    on_all_cores,
+    recall_all,
     run_leftover,
     run_pressures,
     run_sums,
 )
-from hydrojax.identify.estimation.solve import Fit
+from hydrojax.identify.estimation.sensitivity import Recalled, memory_names
+from hydrojax.identify.estimation.solve import Fit, minimise_step_by_step
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.plant.places import gauge_names
+from hydrojax.plant.replay import Motion
 from hydrojax.plant.rig import Rig
 
 SPARE = ((2, 3), (4, 9), (8, 20), (16, 40))
@@ -72,6 +77,9 @@ class Problem:
         default_factory=dict, init=False, repr=False, compare=False
     )
     _summed: dict[bytes, Sums] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    _recalled: dict[bytes, Recalled] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -148,25 +156,23 @@ class Problem:
         used = np.array([n is not None for n in columns])
 
         def boxed(bound):
-            return jnp.asarray(np.where(used, (bound - at) / scale, 0.0))
+            return np.where(used, (bound - at) / scale, 0.0)
 
-        batch = self.batch
-        if noise is not None:
-            batch = batch._replace(noise=noise)
+        batch = self.batch if noise is None else self.batch._replace(noise=noise)
         tied = self.criteria.tied if self.symmetric else None
         slope, away = prior_rows(self.free, self.known, tied, columns, at, scale)
-        model, all_values = self.model.acting(values, free)
-        out = run_fit(
-            model,
-            all_values,
-            basis(model, free, slots),
-            (jnp.asarray(slope), jnp.asarray(away)),
-            boxed(lower),
-            boxed(upper),
-            filled(batch, self.least),
-            self.simulate,
-        )
-        out = out._replace(also=self._real(out.also))
+        full, count = filled(batch, self.least), len(batch.P_0)
+        model, begun = self.model.acting(values, free)
+        directions = basis(model, free, slots)
+        start, moves = np.asarray(begun), block_diag(*directions)
+
+        def gram(d: Float[np.ndarray, "k"]) -> tuple[np.ndarray, Sums]:
+            there = self._sums(model, start + moves @ d, directions, full, count)
+            # What is known beforehand is more residual rows.
+            rows = np.concatenate([slope, (slope @ d + away)[:, None]], axis=1)
+            return np.sum(there.gram, axis=0) + rows.T @ rows, there
+
+        out = minimise_step_by_step(gram, boxed(lower), boxed(upper))
         moved = values.copy()
         step = np.asarray(out.at) * scale
         for i, name in enumerate(columns):
@@ -218,8 +224,54 @@ class Problem:
 
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
-        at = self.model.acting(values)
-        return self._real(run_leftover(*at, filled(batch, self.least), self.simulate))
+        model, at = self.model.acting(values)
+        full = filled(batch, self.least)
+        recalled = self._recall(model, at, None, full.motion)
+
+        def run(*pieces):
+            return run_leftover(model, at, full, self.simulate, recalled, *pieces)
+
+        return self._real(on_all_cores(run, full))
+
+    def _sums(
+        self,
+        model: ParametricRig,
+        values: Float[np.ndarray, "n"],
+        directions: Basis,
+        full: Batch,
+        count: int,
+    ) -> Sums:
+        """The windows' sums of a filled batch, of whose windows `count` are real."""
+        along = memory_along(model, directions)
+        recalled = self._recall(model, values, along, full.motion)
+
+        def run(*pieces):
+            return run_sums(
+                model, values, directions, full, self.simulate, recalled, *pieces
+            )
+
+        return jax.tree.map(lambda a: a[:count], on_all_cores(run, full))
+
+    def _recall(
+        self,
+        model: ParametricRig,
+        values: Float[np.ndarray, "n"],
+        along: Float[np.ndarray, "names columns"] | None,
+        motion: Motion,
+    ) -> Recalled:
+        """What friction remembers; kept for the values of the last few calls, which
+        often differ in nothing that it depends on.
+        """
+        names = memory_names(model.rig)
+        own = np.asarray(values)[[model.names.index(n) for n in names]]
+        key = own.tobytes() + (b"" if along is None else along.tobytes())
+        found = self._recalled.get(key)
+        if found is None:
+            found = recall_all(model, values, along, motion)
+            self._recalled[key] = found
+            for old in list(self._recalled)[:-KEPT]:
+                self._recalled.pop(old, None)
+        return found
 
     def _begin(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
         """The batch with its windows' initial pressures found, and the residuals.
@@ -279,8 +331,7 @@ class Problem:
         model, at = self.model.acting(values, free)
         directions = basis(model, free, slots)
         full = filled(batch, self.least)
-        out = run_sums(model, at, directions, full, self.simulate)
-        return jax.tree.map(lambda a: np.asarray(a)[: len(batch.P_0)], out)
+        return self._sums(model, at, directions, full, len(batch.P_0))
 
     def behind(self, values: Float[np.ndarray, "n"]) -> Problem:
         """The problem at the pressures that are replayed at `values`: what acts behind

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hydrojax.identify.estimation.columns import (
     NUISANCE,
@@ -54,39 +54,33 @@ def memory_names(rig: Rig) -> tuple[str, ...]:
 
 
 class Recalled(NamedTuple):
-    """What friction sees of the motion over the whole log, and its derivatives by each
-    parameter of `memory_names`, on a first axis; with no directions to move along,
-    none.
+    """What friction sees of the motion over the whole log, and its derivatives by those
+    of `memory_names` that the directions move, on a first axis.
 
     Attributes:
         past: what it sees.
-        by: the derivatives; 0 by what no direction moves.
-        along: how the directions and what each window has of its own move those
-            parameters.
+        by: the derivatives; with no directions to move along, none.
+        along: how the directions move those parameters.
     """
 
     past: Past
     by: Past | None
-    along: Float[Array, "names columns"]
+    along: Float[Array | np.ndarray, "moved columns"]
 
 
-def recall(
+def recall(model: ParametricRig, values: Float[Array, "n"], motion: Motion) -> Past:
+    """What friction remembers of the motion, once for all windows."""
+    return friction_memory(put(model.rig, model.names, values), motion)
+
+
+def recall_along(
     model: ParametricRig,
     values: Float[Array, "n"],
-    directions: Basis,
+    which: Int[Array, ""] | np.integer,
     motion: Motion,
-) -> Recalled:
-    """What friction remembers of the motion: once for all windows."""
+) -> Past:
+    """The derivative of `recall` by one of `memory_names`."""
     here = put(model.rig, model.names, values)
-    names = memory_names(here)
-    past = friction_memory(here, motion)
-    k_1, k_2 = directions.hydraulic.shape[1], directions.other.shape[1]
-    every = jnp.zeros((len(model.names), k_1 + k_2 + NUISANCE))
-    every = every.at[: model.hydraulic, :k_1].set(directions.hydraulic)
-    every = every.at[model.hydraulic :, k_1 : k_1 + k_2].set(directions.other)
-    every = every[np.array([model.names.index(m) for m in names])]
-    if not k_1 + k_2:
-        return Recalled(past, None, every)
 
     def along(name: str) -> Past:
         def memory(of):
@@ -94,15 +88,8 @@ def recall(
 
         return jax.jvp(memory, (get(here, (name,)),), (jnp.ones(1),))[1]
 
-    def still() -> Past:
-        return jax.tree.map(jnp.zeros_like, past)
-
-    # One by one: each runs only what it moves, and not at all where nothing moves it.
-    by = [
-        jax.lax.cond(jnp.any(row != 0), partial(along, name), still)
-        for name, row in zip(names, every, strict=True)
-    ]
-    return Recalled(past, jax.tree.map(lambda *a: jnp.stack(a), *by), every)
+    each = [partial(along, name) for name in memory_names(here)]
+    return jax.lax.switch(which, each)
 
 
 class Pressures(NamedTuple):
@@ -253,7 +240,9 @@ def sensitivities(
     through = F_1 * by_1 + F_2 * by_2
     d_F = jnp.concatenate([through[:k_1], own, through[k_1:]])
     if recalled.by is not None:
-        d_F = d_F + _through_memory(here, w, pressure.P, recalled)
+        by_memory = _through_memory(here, w, pressure.P, past, recalled.by)
+        by_memory = jnp.tensordot(recalled.along.T, by_memory, axes=1)
+        d_F = d_F.at[: k_1 + k_2].add(by_memory)
 
     def read(d, P_1, P_2, F, first):
         # What filters the supply's reading too moves pressures and readings both.
@@ -279,13 +268,12 @@ def _partial(f, at: Array) -> tuple[Array, Array]:
 
 
 def _through_memory(
-    here: Rig, w: Windows, P: tuple[Array, Array], recalled: Recalled
-) -> Array:
-    """How the force moves with what friction remembers, [k + NUISANCE, W, lead+T]."""
-    past = recalled.past.within(w)
+    here: Rig, w: Windows, P: tuple[Array, Array], past: Past, by: Past
+) -> Float[Array, "names windows ticks"]:
+    """How the force moves with each of what moves what friction remembers."""
 
     def one(by):
         along = (by.within(w),)
         return jax.jvp(lambda p: forces(here, w, *P, p), (past,), along)[1]
 
-    return jnp.tensordot(recalled.along.T, jax.vmap(one)(recalled.by), axes=1)
+    return jax.vmap(one)(by)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from hydrojax.jax_setup import bucket
 
 DAMPING = 1e-4
 """Damping at optimistix's first step size of 1, as a share of the curvature."""
@@ -169,10 +173,7 @@ def minimise(
         G, also = jax.lax.stop_gradient(gram(here[:count]))
         where = np.r_[:count, count + idle]
         G = jnp.zeros((y.size + 1,) * 2).at[np.ix_(where, where)].set(G)
-        tiny = 1e-13 * jnp.maximum(jnp.diagonal(G), 1e-20)
-        R = jnp.linalg.cholesky(G + jnp.diag(tiny)).T
-        # Value and derivative of the residual in the factor's own coordinates.
-        return R[:, -1] + R[:, :-1] @ (y - here), also
+        return _factored(y, (_root(G), here))[0], also
 
     solver = _BoxedLM(rtol=tol, atol=tol, descent=BoxedNewton(lower, upper))
     out = optx.least_squares(
@@ -183,4 +184,77 @@ def minimise(
     return Fit(out.value[:count], cost, out.stats["num_steps"], done, out.aux)
 
 
-__all__ = ["BoxedNewton", "Fit", "minimise"]
+def minimise_step_by_step(
+    gram: Callable[[Float[np.ndarray, "k"]], tuple[Float[np.ndarray, "k_1 k_1"], Any]],
+    lower: Float[np.ndarray, "k"],
+    upper: Float[np.ndarray, "k"],
+    steps: int = 20,
+    tol: float = 1e-5,
+) -> Fit:
+    """`minimise` from 0, with the Gram matrices made outside of what is compiled: by
+    programs that serve more than fits, on as many cores as there are.
+
+    The arguments are those of `minimise`, in NumPy's arrays.
+    """
+    count = len(lower)
+    size = bucket(count)  # few programs serve fits of any size
+    low, high = (jnp.pad(jnp.asarray(a), (0, size - count)) for a in (lower, upper))
+    solver = _BoxedLM(rtol=tol, atol=tol, descent=BoxedNewton(low, high))
+    where = np.ix_(*[np.r_[:count, size]] * 2)
+    y, state, kept, done = jnp.zeros(size), _begun(size), None, False
+    for _ in range(steps):
+        found, also = gram(np.asarray(state.y_eval)[:count])
+        G = np.zeros((size + 1, size + 1))
+        G[where] = found
+        accepted = int(state.num_accepted_steps)
+        y, state, (done, result) = _advanced(solver, y, state, jnp.asarray(G))
+        if kept is None or int(state.num_accepted_steps) > accepted:
+            kept = also
+        if done:
+            break
+    cost = 0.5 * np.sum(np.asarray(state.f_info.residual) ** 2)
+    fine = bool(done) and bool(result == optx.RESULTS.successful)
+    return Fit(
+        np.asarray(y)[:count],
+        cost,
+        np.asarray(state.num_steps),
+        np.asarray(fine and np.isfinite(cost)),
+        kept,
+    )
+
+
+def _root(G: Float[Array, "k_1 k_1"]) -> Float[Array, "k_1 k_1"]:
+    """The Cholesky factor of a Gram matrix, as Jacobian and residual."""
+    tiny = 1e-13 * jnp.maximum(jnp.diagonal(G), 1e-20)
+    return jnp.linalg.cholesky(G + jnp.diag(tiny)).T
+
+
+def _factored(y: Array, given: tuple[Array, Array]) -> tuple[Array, None]:
+    """The residual near where a factor was taken, in the factor's own coordinates."""
+    R, here = given
+    return R[:, -1] + R[:, :-1] @ (y - here), None
+
+
+@functools.cache
+def _begun(size: int) -> Any:
+    """The solver's state ahead of a first step from 0: one for all fits of a size, for
+    optimistix keeps in it what it traced, and steps of other states are compiled anew.
+    """
+    none = jnp.zeros(size)
+    solver = _BoxedLM(rtol=0.0, atol=0.0, descent=BoxedNewton(none, none))
+    shape = jax.ShapeDtypeStruct((size + 1,), none.dtype)
+    given = (jnp.zeros((size + 1, size + 1)), none)
+    return solver.init(_factored, none, given, {}, shape, None, frozenset())
+
+
+@eqx.filter_jit
+def _advanced(solver: _BoxedLM, y: Array, state: Any, G: Array) -> tuple[Any, ...]:
+    """One step of the solver from the Gram matrix at `state.y_eval`; and whether it was
+    the last one.
+    """
+    given = (_root(G), state.y_eval)
+    y, state, _ = solver.step(_factored, y, given, {}, state, frozenset())
+    return y, state, solver.terminate(_factored, y, given, {}, state, frozenset())
+
+
+__all__ = ["BoxedNewton", "Fit", "minimise", "minimise_step_by_step"]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import repeat
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.columns import basis, filled, thinned
-from hydrojax.identify.estimation.misfit import run_starts
+from hydrojax.identify.estimation.columns import thinned
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.jax_setup import cores
 
 
 def best_start(
@@ -22,8 +24,8 @@ def best_start(
 ) -> Float[np.ndarray, "n"]:
     """The best of `count` fits from starts around `values` (itself among them).
 
-    All run side by side (vmapped) on a few windows spread over the logs. A start that
-    fails, to no number or a poor end, only loses.
+    All are made on a few windows spread over the logs. A start that fails, to no number
+    or a poor end, only loses.
     """
     free = tuple(free)
     index = np.array([problem.model.names.index(n) for n in free])
@@ -34,33 +36,13 @@ def best_start(
     spread = problem.criteria.start_spread
     draw = np.random.default_rng(seed).uniform(-spread, spread, (count, len(free)))
     draw[0] = 0.0
-    starts = np.clip(at + size * draw, lower, upper)
-    slots = (len(problem.side(free, True)), len(problem.side(free, False)))
-    # Columns stand hydraulic first, as `basis` lays them out.
-    order = np.argsort([i >= problem.model.hydraulic for i in index], kind="stable")
-    scale = problem.model.scale[index]
-
-    def coordinates(x):
-        return jnp.asarray(((x - at) / scale)[..., order])
-
-    model, all_values = problem.model.acting(values, free)
-    out = run_starts(
-        model,
-        all_values,
-        coordinates(starts),
-        basis(model, free, slots),
-        coordinates(lower),
-        coordinates(upper),
-        filled(thinned(problem.batch, problem.criteria.start_windows)),
-        problem.simulate,
-    )
-    cost = np.where(np.isfinite(out.cost), out.cost, np.inf)
-    best = np.asarray(out.at)[int(np.argmin(cost))]
-    moved = values.copy()
-    moved[index[order]] = np.clip(
-        at[order] + scale[order] * best, lower[order], upper[order]
-    )
-    return moved
+    starts = np.repeat(values[None], count, axis=0)
+    starts[:, index] = np.clip(at + size * draw, lower, upper)
+    few = replace(problem, batch=thinned(problem.batch, problem.criteria.start_windows))
+    with ThreadPoolExecutor(cores()) as pool:
+        ends = list(pool.map(few.solve, starts, repeat(free)))
+    cost = np.array([float(fit.cost) for _, fit in ends])
+    return ends[int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))][0]
 
 
 def placed(

@@ -20,10 +20,10 @@ from hydrojax.identify.estimation.columns import (
     ParametricRig,
     basis,
 )
+from hydrojax.identify.estimation.misfit import memory_along, recall_all
 from hydrojax.identify.estimation.sensitivity import (
     SLOPE_SPREAD,
     driven_pressures,
-    recall,
     sensitivities,
 )
 from hydrojax.parameters import get, parameter_specs, put, specs
@@ -638,9 +638,16 @@ def batch(log):
 
 def moved(model, values, directions, b, simulate):
     """Predictions and columns, as a fit makes them."""
-    pressure = driven_pressures(model, values, directions, b, simulate)
-    memory = recall(model, values, directions, b.motion)
-    return sensitivities(model, values, directions, b.windows, pressure, memory)
+    along = memory_along(model, directions)
+    recalled = recall_all(model, np.asarray(values), along, b.motion)
+
+    @program
+    def run(values, b, recalled):
+        pressure = driven_pressures(model, values, directions, b, simulate)
+        own = (directions, b.windows, pressure, recalled)
+        return sensitivities(model, values, *own)
+
+    return [np.asarray(out) for out in run(values, b, recalled)]
 
 
 @pytest.fixture(scope="module")
@@ -649,8 +656,7 @@ def columns(full, batch):
     model = ParametricRig.of(full)
     slots = (model.hydraulic, len(model.names) - model.hydraulic)
     directions = basis(model, model.names, slots)
-    run = program(lambda values, b: moved(model, values, directions, b, True))
-    return model, *(np.asarray(out) for out in run(model.values, batch))
+    return model, *moved(model, model.values, directions, batch, True)
 
 
 @pytest.fixture(scope="module")
@@ -702,8 +708,7 @@ def test_columns_of_a_few_are_those_of_all(full, batch, columns, some):
     at = [model.names.index(name) for name in some]
     hydraulic = sum(i < model.hydraulic for i in at)
     directions = basis(model, some, (hydraulic, len(at) - hydraulic))
-    run = program(lambda values: moved(model, values, directions, batch, True))
-    few_y, few = map(np.asarray, run(model.values))
+    few_y, few = moved(model, model.values, directions, batch, True)
     own = [*at, *range(len(model.names), len(dy))]
     assert np.allclose(few_y, y, rtol=1e-12)
     for got, want in zip(few, dy[own], strict=True):
@@ -772,8 +777,7 @@ def test_driven_by_logged_pressures_only_friction_has_derivatives(full, batch):
     model = ParametricRig.of(full)
     slots = (model.hydraulic, len(model.names) - model.hydraulic)
     directions = basis(model, model.names, slots)
-    run = program(lambda values, b: moved(model, values, directions, b, False))
-    dy = np.asarray(run(model.values, batch)[1])
+    _, dy = moved(model, model.values, directions, batch, False)
     # What stretches moves the piston, and friction with it; a logger's filter reads.
     moves = tuple(f"{e.name}." for e in (*full.stretch, EFFECTS["signal_filter"]()))
     for i, name in enumerate(model.names):

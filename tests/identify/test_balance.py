@@ -25,7 +25,12 @@ from hydrojax.identify.estimation.balance import (
 from hydrojax.identify.estimation.columns import basis, filled, thinned
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.known import free_effect, free_parameters
-from hydrojax.identify.estimation.misfit import run_sums
+from hydrojax.identify.estimation.misfit import (
+    Span,
+    memory_along,
+    recall_all,
+    run_sums,
+)
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation import data as preparation
 from hydrojax.identify.preparation import windows
@@ -171,10 +176,15 @@ def test_lines_in_which_nothing_stands_are_left_out(machine):
     assert not [n for n in lean.names if n.startswith("counterbalance.")]
     assert lean.values.shape == at.shape == lean.scale.shape
     slots = problem.slots(free)
-    ours, whole = (
-        run_sums(m, np.asarray(v), basis(m, free, slots), batch, True)
-        for m, v in ((lean, at), (model, values))
-    )
+
+    def summed(model, values):
+        directions = basis(model, free, slots)
+        along = memory_along(model, directions)
+        recalled = recall_all(model, values, along, batch.motion)
+        whole = (len(batch.P_0), Span(0, 1))
+        return run_sums(model, values, directions, batch, True, recalled, *whole)
+
+    ours, whole = summed(lean, np.asarray(at)), summed(model, np.asarray(values))
     for a, b in zip(ours, whole, strict=True):
         a, b = np.asarray(a), np.asarray(b)
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(b).max())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import jax
@@ -11,11 +12,19 @@ import pytest
 
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
-from hydrojax.identify.estimation.columns import room_of, thinned
+from hydrojax.identify.estimation import misfit
+from hydrojax.identify.estimation.columns import Batch, room_of, thinned
 from hydrojax.identify.estimation.fit import fit_all, in_short
-from hydrojax.identify.estimation.misfit import in_pieces
+from hydrojax.identify.estimation.misfit import (
+    PIECE,
+    PIECES,
+    Span,
+    in_pieces,
+    on_all_cores,
+)
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing
+from hydrojax.jax_setup import bucket
 
 MISSING, OTHER = "internal_leakage", "valve_bias"
 
@@ -35,25 +44,57 @@ def test_pieces_give_the_windows_back(count, sizes):
         seen.append(a.shape[0])
         return 2 * a
 
-    out = in_pieces(double, 8, count, jnp.arange(count))
-    np.testing.assert_array_equal(out, 2 * np.arange(count))
+    out = in_pieces(double, 8, Span(0, -(-count // 8)), jnp.arange(count))
+    np.testing.assert_array_equal(out[:count], 2 * np.arange(count))
     assert set(seen) == sizes
 
 
-@pytest.mark.parametrize("real, pieces", [(1, 1), (8, 1), (9, 2), (17, 3), (20, 3)])
-def test_only_pieces_with_real_windows_are_run(real, pieces):
+@pytest.mark.parametrize("first, end", [(0, 1), (0, 3), (1, 2), (1, 3), (2, 2)])
+def test_only_pieces_of_the_span_are_run(first, end):
     ran = []
 
-    def part(own, a):
-        jax.debug.callback(lambda n: ran.append(int(n)), own)
+    def part(i, a):
+        jax.debug.callback(lambda n: ran.append(int(n)), i)
         return a + 1
 
-    run = jax.jit(lambda n, a: in_pieces(part, 8, n, a))
-    out = run(jnp.asarray(real), jnp.arange(20))
+    run = jax.jit(lambda *span: in_pieces(part, 8, Span(*span), jnp.arange(20)))
+    out = run(first, end)
     jax.effects_barrier()
-    np.testing.assert_array_equal(out[:real], 1 + np.arange(real))
-    np.testing.assert_array_equal(out[8 * pieces :], 0)
-    assert sorted(ran) == sorted(min(8, real - 8 * i) for i in range(pieces))
+    own = np.arange(20)[8 * first : 8 * end]
+    np.testing.assert_array_equal(out[: len(own)], 1 + own)
+    np.testing.assert_array_equal(out[8 * (end - first) :], 0)
+    assert sorted(ran) == list(range(first, end))
+
+
+def test_no_call_runs_more_pieces_than_it_has_room_for():
+    run = jax.jit(
+        lambda *span: in_pieces(lambda _, a: a, 2, Span(*span), jnp.arange(40))
+    )
+    out = run(5, 5 + PIECES)
+    np.testing.assert_array_equal(out, 10 + np.arange(2 * PIECES))
+
+
+@pytest.mark.parametrize("at_hand", [1, 2, 3, 8])
+@pytest.mark.parametrize("real", [1, 40, 97, 190, 1000])
+def test_each_core_has_its_share_of_the_windows(monkeypatch, at_hand, real):
+    """Every window with a weight is run once, in its place, by calls of like size."""
+    monkeypatch.setattr(misfit, "cores", lambda: at_hand)
+    monkeypatch.setattr(misfit, "_pool", lambda: ThreadPoolExecutor(at_hand))
+    count, calls = bucket(real), []
+    weight = (np.arange(count) < real) * 1.0
+    batch = Batch(None, None, np.zeros((count, 2)), None, None, weight)
+
+    def run(size, span):
+        assert size <= PIECE and span.end - span.first <= PIECES
+        calls.append(span.end - span.first)
+        rows = size * span.first + np.arange(size * PIECES)
+        return np.where(rows < size * span.end, rows, -1)
+
+    out = on_all_cores(run, batch)
+    np.testing.assert_array_equal(out[:real], np.arange(real))
+    assert len(out) < real + PIECE
+    assert max(calls) - min(calls) <= 1
+    assert len(calls) >= min(at_hand, -(-real // PIECE))
 
 
 def test_fits_of_few_windows_run_the_program_of_all(leaking):
