@@ -278,7 +278,7 @@ def on_all_cores(run: Callable[[int, Span], PyTree], batch: Batch) -> PyTree:
     return jax.tree.map(lambda *a: np.concatenate(a), *parts)
 
 
-def at_once(part: Callable, *given: Sequence) -> list:
+def at_once(part: Callable, *given: Sequence | np.ndarray) -> list:
     """`part` of the first of all that is given, of the second, ...; on all cores."""
     alone = cores() == 1 or len(given[0]) == 1
     return list(map(part, *given) if alone else _pool().map(part, *given))
@@ -290,7 +290,9 @@ def _pool() -> ThreadPoolExecutor:
 
 
 @program_of_pytrees
-def run_recall(model: ParametricRig, values: Float[Array, "n"], motion: Motion) -> Past:
+def run_recall(
+    model: ParametricRig, values: Float[Array | np.ndarray, "n"], motion: Motion
+) -> Past:
     """`recall`, compiled."""
     return recall(model, values, motion)
 
@@ -298,7 +300,7 @@ def run_recall(model: ParametricRig, values: Float[Array, "n"], motion: Motion) 
 @program_of_pytrees
 def run_recall_along(
     model: ParametricRig,
-    values: Float[Array, "n"],
+    values: Float[Array | np.ndarray, "n"],
     which: np.integer,
     motion: Motion,
 ) -> Past:
@@ -320,7 +322,7 @@ def memory_along(
 
 def recall_all(
     model: ParametricRig,
-    values: Float[np.ndarray, "n"],
+    values: Float[Array | np.ndarray, "n"],
     along: Float[np.ndarray, "names columns"] | None,
     motion: Motion,
 ) -> Recalled:

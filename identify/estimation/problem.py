@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 from scipy.linalg import block_diag
@@ -236,7 +237,7 @@ class Problem:
     def _sums(
         self,
         model: ParametricRig,
-        values: Float[np.ndarray, "n"],
+        values: Float[Array | np.ndarray, "n"],
         directions: Basis,
         full: Batch,
         count: int,
@@ -244,10 +245,11 @@ class Problem:
         """The windows' sums of a filled batch, of whose windows `count` are real."""
         along = memory_along(model, directions)
         recalled = self._recall(model, values, along, full.motion)
+        at = jnp.asarray(values)
 
         def run(*pieces):
             return run_sums(
-                model, values, directions, full, self.simulate, recalled, *pieces
+                model, at, directions, full, self.simulate, recalled, *pieces
             )
 
         return jax.tree.map(lambda a: a[:count], on_all_cores(run, full))
@@ -255,7 +257,7 @@ class Problem:
     def _recall(
         self,
         model: ParametricRig,
-        values: Float[np.ndarray, "n"],
+        values: Float[Array | np.ndarray, "n"],
         along: Float[np.ndarray, "names columns"] | None,
         motion: Motion,
     ) -> Recalled:

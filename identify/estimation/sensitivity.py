@@ -68,14 +68,16 @@ class Recalled(NamedTuple):
     along: Float[Array | np.ndarray, "moved columns"]
 
 
-def recall(model: ParametricRig, values: Float[Array, "n"], motion: Motion) -> Past:
+def recall(
+    model: ParametricRig, values: Float[Array | np.ndarray, "n"], motion: Motion
+) -> Past:
     """What friction remembers of the motion, once for all windows."""
     return friction_memory(put(model.rig, model.names, values), motion)
 
 
 def recall_along(
     model: ParametricRig,
-    values: Float[Array, "n"],
+    values: Float[Array | np.ndarray, "n"],
     which: Int[Array, ""] | np.integer,
     motion: Motion,
 ) -> Past:

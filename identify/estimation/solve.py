@@ -134,10 +134,10 @@ class Fit(NamedTuple):
         also: what else the misfit gave there.
     """
 
-    at: Float[Array, "*starts k"]
-    cost: Float[Array, "*starts"]
-    steps: Int[Array, "*starts"]
-    converged: Bool[Array, "*starts"]
+    at: Float[Array | np.ndarray, "*starts k"]
+    cost: Float[Array | np.ndarray, "*starts"]
+    steps: Int[Array | np.ndarray, "*starts"]
+    converged: Bool[Array | np.ndarray, "*starts"]
     also: PyTree
 
 
@@ -202,6 +202,7 @@ def minimise_step_by_step(
     solver = _BoxedLM(rtol=tol, atol=tol, descent=BoxedNewton(low, high))
     where = np.ix_(*[np.r_[:count, size]] * 2)
     y, state, kept, done = jnp.zeros(size), _begun(size), None, False
+    result = optx.RESULTS.successful
     for _ in range(steps):
         found, also = gram(np.asarray(state.y_eval)[:count])
         G = np.zeros((size + 1, size + 1))
@@ -212,7 +213,7 @@ def minimise_step_by_step(
             kept = also
         if done:
             break
-    cost = 0.5 * np.sum(np.asarray(state.f_info.residual) ** 2)
+    cost = np.asarray(0.5 * np.sum(np.asarray(state.f_info.residual) ** 2))
     fine = bool(done) and bool(result == optx.RESULTS.successful)
     return Fit(
         np.asarray(y)[:count],
