@@ -105,17 +105,12 @@ def in_pieces(
     if count <= size:
         return part(0, *windows)
     pieces = -(-count // size)
-
-    def cut(a):
-        # The last piece is filled with copies of the last window.
-        index = np.minimum(np.arange(pieces * size), count - 1)
-        return a[index].reshape(pieces, size, *a.shape[1:])
-
-    cuts = jax.tree.map(cut, windows)
     first, end = span
 
     def piece(i):
-        return part(i, *jax.tree.map(lambda a: a[i], cuts))
+        # The last piece is filled with copies of the last window.
+        index = jnp.minimum(i * size + jnp.arange(size), count - 1)
+        return part(i, *jax.tree.map(lambda a: a[index], windows))
 
     def put_in(i, out):
         return jax.tree.map(lambda a, b: a.at[i - first].set(b), out, piece(i))
@@ -267,7 +262,8 @@ def on_all_cores(run: Callable[[int, Span], PyTree], batch: Batch) -> PyTree:
     each = -(-len(batch.P_0) // (HANDFUL * cores())) * HANDFUL
     size = min(each, PIECE, len(batch.P_0))
     pieces = -(-int(np.sum(np.asarray(batch.weight) > 0)) // size)
-    calls = max(min(cores(), pieces), -(-pieces // PIECES))
+    # As many for each core, so that none waits for another.
+    calls = min(-(-pieces // (PIECES * cores())) * cores(), pieces)
     ends = np.linspace(0, pieces, calls + 1).astype(np.int32)
 
     def part(first: np.int32, end: np.int32) -> PyTree:
@@ -343,7 +339,7 @@ def recall_all(
         return Recalled(past, None, np.zeros((0, 0)))
     spare = max(len(moved) % 2, 2 - len(moved))  # few programs serve any number
     by += [jax.tree.map(np.zeros_like, past)] * spare
-    stacked = jax.tree.map(lambda *a: np.stack(a), *by)
+    stacked = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *by)
     return Recalled(past, stacked, np.pad(along[moved], ((0, spare), (0, 0))))
 
 

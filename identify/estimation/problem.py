@@ -47,7 +47,10 @@ SPARE = ((2, 3), (4, 9), (8, 20), (16, 40))
 holds them is taken, so that few programs serve every fit."""
 
 KEPT = 4
-"""Values for which a problem keeps the residuals."""
+"""Values for which a problem keeps the residuals, and what friction remembers."""
+
+SMALL = 2**26
+"""Bytes of what friction remembers that are kept: logs of minutes, not of hours."""
 
 PRESSURES = np.array([True, True, False])
 """Which channels are pressures."""
@@ -162,7 +165,7 @@ class Problem:
         batch = self.batch if noise is None else self.batch._replace(noise=noise)
         tied = self.criteria.tied if self.symmetric else None
         slope, away = prior_rows(self.free, self.known, tied, columns, at, scale)
-        full, count = filled(batch, self.least), len(batch.P_0)
+        full, count = self._filled(batch), len(batch.P_0)
         model, begun = self.model.acting(values, free)
         directions = basis(model, free, slots)
         start, moves = np.asarray(begun), block_diag(*directions)
@@ -223,10 +226,16 @@ class Problem:
         """The batch with each window's initial pressures as `values` want them."""
         return self._begin(values)[0]
 
+    def _filled(self, batch: Batch) -> Batch:
+        """The batch as programs take it, in JAX's arrays: they are not copied again for
+        each piece of it.
+        """
+        return jax.tree.map(jnp.asarray, filled(batch, self.least))
+
     def _left(self, values: np.ndarray, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
         model, at = self.model.acting(values)
-        full = filled(batch, self.least)
+        full = self._filled(batch)
         recalled = self._recall(model, at, None, full.motion)
 
         def run(*pieces):
@@ -270,7 +279,8 @@ class Problem:
         found = self._recalled.get(key)
         if found is None:
             found = recall_all(model, values, along, motion)
-            self._recalled[key] = found
+            if sum(a.nbytes for a in jax.tree.leaves(found)) < SMALL:
+                self._recalled[key] = found
             for old in list(self._recalled)[:-KEPT]:
                 self._recalled.pop(old, None)
         return found
@@ -332,7 +342,7 @@ class Problem:
         """The windows' sums of a batch at `values`, along the columns of `free`."""
         model, at = self.model.acting(values, free)
         directions = basis(model, free, slots)
-        full = filled(batch, self.least)
+        full = self._filled(batch)
         return self._sums(model, at, directions, full, len(batch.P_0))
 
     def behind(self, values: Float[np.ndarray, "n"]) -> Problem:
@@ -340,7 +350,7 @@ class Problem:
         them, friction and sensors, is fitted at a small part of the cost.
         """
         batch = self.batch
-        full = filled(batch, self.least)
+        full = self._filled(batch)
         P = self._real(run_pressures(*self.model.acting(values), full))
         windows = batch.windows._replace(P_a1=P[0], P_a2=P[1])
         return replace(self, batch=batch._replace(windows=windows), simulate=False)
