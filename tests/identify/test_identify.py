@@ -25,7 +25,7 @@ from hydrojax.identify.estimation import starts
 from hydrojax.identify.estimation.fit import fit_all
 from hydrojax.identify.estimation.known import Free, free_parameters
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.estimation.solve import minimise
+from hydrojax.identify.estimation.solve import minimise, minimise_step_by_step
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
 from hydrojax.identify.preparation import segments, windows
 from hydrojax.identify.preparation.data import prepare_logs, runs_backward
@@ -389,6 +389,55 @@ def test_rosenbrock_as_scipy_has_it(upper):
     # It stops where less than a thousandth of a chi-square is to be had.
     assert float(out.cost) == pytest.approx(wanted.cost, abs=1e-3)
     assert np.all(out.at >= low - 1e-12) and np.all(out.at <= high + 1e-12)
+
+
+@pytest.mark.parametrize("upper", [(3.0, 3.0), (0.6, 3.0)], ids=["free", "x held"])
+@pytest.mark.parametrize("steps", [3, 20, 200])
+def test_steps_outside_of_what_is_compiled_are_the_same(steps, upper):
+    """Value by value, where it gets there and where it has too few steps to."""
+    start, low, high = np.array([-1.2, 0.4]), np.full(2, -3.0), np.array(upper)
+    along = jax.jit(jax.jacfwd(rosenbrock))
+    asked = []
+
+    def gram(d):
+        asked.append(start + d)
+        M = np.column_stack([along(start + d), rosenbrock(start + d)])
+        return M.T @ M, start + d
+
+    ours = minimise_step_by_step(gram, low - start, high - start, steps=steps)
+    whole = solver(rosenbrock, steps=steps)(start, low, high)
+    np.testing.assert_allclose(start + ours.at, whole.at, rtol=1e-7)
+    assert float(ours.cost) == pytest.approx(float(whole.cost), rel=1e-7)
+    assert int(ours.steps) == int(whole.steps) == len(asked) <= steps
+    assert bool(ours.converged) == bool(whole.converged) == (steps == 200)
+    # What comes along is of the place where it ended, not of the last one asked for.
+    np.testing.assert_allclose(ours.also, start + ours.at, rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9])
+def test_fits_of_any_size_take_steps_outside(count):
+    rng = np.random.default_rng(count)
+    A, b = rng.normal(size=(40, count)), rng.normal(size=40)
+    M = A.T @ A, A.T @ b, b @ b
+
+    def gram(d):
+        right = M[0] @ d - M[1]
+        last = d @ M[0] @ d - 2 * d @ M[1] + M[2]
+        return np.block([[M[0], right[:, None]], [right[None], last]]), ()
+
+    far = np.full(count, 9.0)
+    out = minimise_step_by_step(gram, -far, far)
+    wanted = np.linalg.lstsq(A, b, rcond=None)[0]
+    np.testing.assert_allclose(out.at, wanted, atol=1e-3)
+    assert bool(out.converged)
+
+
+def test_a_fit_whose_misfit_is_no_number_says_so():
+    def gram(d):
+        return np.full((3, 3), np.nan), ()
+
+    out = minimise_step_by_step(gram, -np.ones(2), np.ones(2))
+    assert not out.converged and not np.isfinite(out.cost)
 
 
 @pytest.mark.parametrize("end", ["lower", "upper"])
