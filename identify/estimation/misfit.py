@@ -29,7 +29,7 @@ from hydrojax.identify.estimation.columns import (
 from hydrojax.identify.estimation.sensitivity import (
     Recalled,
     driven_pressures,
-    memory_names,
+    memory_along,
     recall,
     recall_along,
     sensitivities,
@@ -153,12 +153,13 @@ def _of_windows(
         real = jnp.clip(jnp.sum(batch.weight > 0) - i * size, 0, len(P_0))
         handfuls = Span(0, -(-real // HANDFUL))
         each = (windows, P_0, weight, pressure.P, by)
-        return in_pieces(handful, HANDFUL, handfuls, *each)
+        out = in_pieces(handful, HANDFUL, handfuls, *each, most=len(P_0))
+        return jax.tree.map(lambda a: a[: len(P_0)], out)
 
     return in_pieces(side_by_side, size, span, batch.windows, batch.P_0, batch.weight)
 
 
-def sums(
+def sums_of_some(
     model: ParametricRig,
     values: Float[Array, "n"],
     directions: Basis,
@@ -176,6 +177,34 @@ def sums(
     return _of_windows(
         model, values, directions, batch, simulate, recalled, size, span, _sums
     )
+
+
+def sums(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    directions: Basis,
+    batch: Batch,
+    simulate: bool,
+) -> Sums:
+    """`sums_of_some` of all windows, and the memory with them: to be compiled, and
+    differentiated, as a part of more. Where `batch` is filled up its last rows are 0.
+    """
+    along = memory_along(model, directions)
+    past = recall(model, values, batch.motion)
+
+    def still() -> Past:
+        return jax.tree.map(jnp.zeros_like, past)
+
+    def by(which: int) -> Past:
+        def moved() -> Past:
+            return recall_along(model, values, which, batch.motion)
+
+        return jax.lax.cond(jnp.any(along[which] != 0), moved, still)
+
+    each = [by(which) for which in range(len(along))]
+    recalled = Recalled(past, jax.tree.map(lambda *a: jnp.stack(a), *each), along)
+    whole = (len(batch.P_0), Span(0, 1))
+    return sums_of_some(model, values, directions, batch, simulate, recalled, *whole)
 
 
 def _sums(batch: Batch, y: Array, dy: Array) -> Sums:
@@ -304,18 +333,6 @@ def run_recall_along(
     return recall_along(model, values, which, motion)
 
 
-def memory_along(
-    model: ParametricRig, directions: Basis
-) -> Float[np.ndarray, "names columns"]:
-    """How the directions move each of `memory_names`."""
-    hydraulic, other = (np.asarray(d) for d in directions)
-    k_1, k_2 = hydraulic.shape[1], other.shape[1]
-    every = np.zeros((len(model.names), k_1 + k_2))
-    every[: model.hydraulic, :k_1] = hydraulic
-    every[model.hydraulic :, k_1:] = other
-    return every[[model.names.index(m) for m in memory_names(model.rig)]]
-
-
 def recall_all(
     model: ParametricRig,
     values: Float[Array | np.ndarray, "n"],
@@ -354,8 +371,10 @@ def run_sums(
     size: int,
     span: Span,
 ) -> Sums:
-    """`sums`, compiled."""
-    return sums(model, values, directions, batch, simulate, recalled, size, span)
+    """`sums_of_some`, compiled."""
+    return sums_of_some(
+        model, values, directions, batch, simulate, recalled, size, span
+    )
 
 
 @program_of_pytrees

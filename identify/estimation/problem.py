@@ -27,14 +27,17 @@ from hydrojax.identify.estimation.known import Free, Known, prior_rows
 from hydrojax.identify.estimation.misfit import (
     START_SPREAD,
     Sums,
-    memory_along,
     on_all_cores,
     recall_all,
     run_leftover,
     run_pressures,
     run_sums,
 )
-from hydrojax.identify.estimation.sensitivity import Recalled, memory_names
+from hydrojax.identify.estimation.sensitivity import (
+    Recalled,
+    memory_along,
+    memory_names,
+)
 from hydrojax.identify.estimation.solve import Fit, minimise_step_by_step
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
@@ -252,7 +255,7 @@ class Problem:
         count: int,
     ) -> Sums:
         """The windows' sums of a filled batch, of whose windows `count` are real."""
-        along = memory_along(model, directions)
+        along = np.asarray(memory_along(model, directions))
         recalled = self._recall(model, values, along, full.motion)
         at = jnp.asarray(values)
 

@@ -9,11 +9,13 @@ pressures), sensors last. Each stage is run along what moves it and along nothin
 from __future__ import annotations
 
 from functools import partial
+from itertools import permutations
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from hydrojax.identify.estimation.columns import (
@@ -68,6 +70,19 @@ class Recalled(NamedTuple):
     along: Float[Array | np.ndarray, "moved columns"]
 
 
+def memory_along(
+    model: ParametricRig, directions: Basis
+) -> Float[Array | np.ndarray, "names columns"]:
+    """How the directions move each of `memory_names`; NumPy's where they are known."""
+    traced = any(isinstance(d, Tracer) for d in directions)
+    xp = jnp if traced else np
+    hydraulic, other = directions if traced else map(np.asarray, directions)
+    pair = (hydraulic, other)
+    off = [xp.zeros((len(a), b.shape[1])) for a, b in permutations(pair)]
+    every = xp.block([[hydraulic, off[0]], [off[1], other]])
+    return every[np.array([model.names.index(m) for m in memory_names(model.rig)])]
+
+
 def recall(
     model: ParametricRig, values: Float[Array | np.ndarray, "n"], motion: Motion
 ) -> Past:
@@ -78,7 +93,7 @@ def recall(
 def recall_along(
     model: ParametricRig,
     values: Float[Array | np.ndarray, "n"],
-    which: Int[Array, ""] | np.integer,
+    which: Int[Array, ""] | np.integer | int,
     motion: Motion,
 ) -> Past:
     """The derivative of `recall` by one of `memory_names`."""
@@ -91,7 +106,7 @@ def recall_along(
         return jax.jvp(memory, (get(here, (name,)),), (jnp.ones(1),))[1]
 
     each = [partial(along, name) for name in memory_names(here)]
-    return jax.lax.switch(which, each)
+    return each[which]() if isinstance(which, int) else jax.lax.switch(which, each)
 
 
 class Pressures(NamedTuple):

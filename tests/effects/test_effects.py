@@ -20,10 +20,11 @@ from hydrojax.identify.estimation.columns import (
     ParametricRig,
     basis,
 )
-from hydrojax.identify.estimation.misfit import memory_along, recall_all
+from hydrojax.identify.estimation.misfit import recall_all
 from hydrojax.identify.estimation.sensitivity import (
     SLOPE_SPREAD,
     driven_pressures,
+    memory_along,
     sensitivities,
 )
 from hydrojax.parameters import get, parameter_specs, put, specs
@@ -638,7 +639,7 @@ def batch(log):
 
 def moved(model, values, directions, b, simulate):
     """Predictions and columns, as a fit makes them."""
-    along = memory_along(model, directions)
+    along = np.asarray(memory_along(model, directions))
     recalled = recall_all(model, np.asarray(values), along, b.motion)
 
     @program

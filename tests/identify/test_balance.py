@@ -27,11 +27,11 @@ from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.known import free_effect, free_parameters
 from hydrojax.identify.estimation.misfit import (
     Span,
-    memory_along,
     recall_all,
     run_sums,
 )
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.estimation.sensitivity import memory_along
 from hydrojax.identify.preparation import data as preparation
 from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs
@@ -179,7 +179,7 @@ def test_lines_in_which_nothing_stands_are_left_out(machine):
 
     def summed(model, values):
         directions = basis(model, free, slots)
-        along = memory_along(model, directions)
+        along = np.asarray(memory_along(model, directions))
         recalled = recall_all(model, values, along, batch.motion)
         whole = (len(batch.P_0), Span(0, 1))
         return run_sums(model, values, directions, batch, True, recalled, *whole)
