@@ -7,9 +7,17 @@ import pytest
 from tests.docs.shown import README, does_its_work
 from tests.pages import ROOT, blocks
 
+LONG = ("bounds",)
+"""Commands that take minutes, and have tests of their own."""
 
-@pytest.mark.slow
-@pytest.mark.parametrize("line", README, ids=lambda x: x.split()[1])
+
+def _marked(line: str):
+    command = line.split()[1]
+    mark = pytest.mark.study if command in LONG else pytest.mark.slow
+    return pytest.param(line, marks=mark, id=command)
+
+
+@pytest.mark.parametrize("line", [_marked(line) for line in README])
 def test_a_command_of_the_readme_does_its_work(line, call, desk):
     does_its_work(line, call, desk)
 

@@ -89,7 +89,7 @@ def test_the_design_identifies_better(found):
     assert np.max(np.abs(found.x)) < LIMITS.travel
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
     """The design run in closed loop, logged and identified: the same spreads."""
     spec = RigFile.load(rig_file)
@@ -122,7 +122,7 @@ def test_what_it_foresees_is_what_identify_finds(rig_file, found, tmp_path):
         assert abs(value - FREE[name][1]) < 5 * std
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_two_effects_are_designed_for_together(rig_file):
     """Each strength is harder to identify beside the other effect than without it."""
     spec = RigFile.load(rig_file)

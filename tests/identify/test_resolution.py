@@ -168,7 +168,7 @@ def without_command(case: Path, folder: Path) -> Case:
     return open_case(case / "rig.toml", logs, [folder / "validate.csv"])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_noise_of_pressures_that_drive_is_not_taken_for_a_lag(recorded, tmp_path):
     """9 kPa on 11.8 cm^2 twice are 15 N, six times the load cell's noise."""
     case = without_command(recorded(1), tmp_path)
@@ -178,7 +178,7 @@ def test_noise_of_pressures_that_drive_is_not_taken_for_a_lag(recorded, tmp_path
     assert found.verdict == "nothing missing" and not found.effects
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_friction_is_named_where_noisy_pressures_drive(recorded, tmp_path):
     effects = {"stribeck": generator.CATALOGUE["stribeck"]}
     found = api.trace_case(without_command(recorded(6, effects), tmp_path))

@@ -48,12 +48,15 @@ WANTED = {
 """What there is to find where an effect is measured."""
 
 
+FAR = ("wide_stribeck", "soft_rod", "late_command")
+"""Cases of an effect that lies far from where it is absent, which take longest."""
+
 SLOW = [
-    pytest.param(name, marks=pytest.mark.slow)
+    pytest.param(name, marks=pytest.mark.study if name in FAR else pytest.mark.slow)
     for name in [*CASES, "stribeck"]
     if name not in ("none", "internal_leakage")
 ]
-"""Cases that the suite leaves to `pytest -m slow`."""
+"""Cases that the suite leaves to `pytest -m slow`, or `pytest -m study`."""
 
 
 @pytest.fixture(scope="module")
@@ -121,9 +124,12 @@ def test_an_effect_is_named_and_measured(traced, name):
     assert name in outcome.sentence
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["late_film", "wide_stribeck", "soft_rod", "late_command"]
+    "name",
+    [
+        pytest.param("late_film", marks=pytest.mark.slow),
+        *(pytest.param(name, marks=pytest.mark.study) for name in FAR),
+    ],
 )
 def test_an_effect_is_named_that_lies_far_from_where_it_is_absent(traced, name):
     """What a film does that comes 0.15 s late is not foreseen by its slope at none; and

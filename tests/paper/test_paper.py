@@ -37,7 +37,7 @@ def found(folder) -> dict[str, Any]:
     return json.loads((folder / "paper.json").read_text())
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_all_that_was_asked_for_is_there(folder, found):
     for figure in ("fig2", "fig3", "fig4"):
         assert tuple(found[figure]) == LETTERS
@@ -61,7 +61,7 @@ def test_all_that_was_asked_for_is_there(folder, found):
         assert head.startswith(b"\x89PNG") and len(head) > 20_000
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_fig_2_velocity_feedforward_is_what_counts(found):
     a, b, c, d = (found["fig2"][k] for k in LETTERS)
     assert d >= 4 * a
@@ -69,14 +69,14 @@ def test_fig_2_velocity_feedforward_is_what_counts(found):
     assert a < b
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("figure", ["fig3", "fig4"])
 def test_figs_3_and_4_adapting_more_is_better(found, figure):
     a, b, c, d = (found[figure][k] for k in LETTERS)
     assert a < b < c < d
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_fig_4_is_worse_than_fig_3(found):
     for letter in LETTERS:
         assert found["fig4"][letter] >= found["fig3"][letter]
@@ -84,7 +84,7 @@ def test_fig_4_is_worse_than_fig_3(found):
         assert found["fig4"][letter] >= 2 * found["fig3"][letter]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_fig_5_reaches_20_hz_by_both_excitations(found):
     fig5 = found["fig5"]
     assert fig5["within_1dB_to_Hz_noise"] >= 20
@@ -106,14 +106,14 @@ def test_fig_5_reaches_20_hz_by_both_excitations(found):
     assert experiments.within(hertz, sines) == fig5["within_1dB_to_Hz_sines"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_full_law_beats_the_ablation(found):
     ablation = found["ablation"]
     assert ablation["full_law_rms_N"] == found["fig3"]["a"]
     assert ablation["rms_N"] > 1.5 * ablation["full_law_rms_N"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_w_rises_less_the_faster_the_loop(found):
     rises = found["lyapunov"]["largest_rise_at_rate"]
     assert found["lyapunov"]["rate_Hz"] == [1000, 2000, 4000]
@@ -121,13 +121,13 @@ def test_w_rises_less_the_faster_the_loop(found):
     assert rises[0] > 2 * rises[1] > 4 * rises[2]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_w_rises_by_far_less_than_its_tracking_part_falls(found):
     fall = found["lyapunov"]
     assert 0 < fall["largest_rise"] < 0.2 * fall["largest_fall_of_tracking_part"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_other_readings_of_the_paper_are_tried(found):
     rows = found["readings"]
     assert len(rows) >= 10
@@ -143,7 +143,7 @@ def test_other_readings_of_the_paper_are_tried(found):
     assert shipped["within_1dB"] == pytest.approx(edge, abs=0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_42_asks_for_more_than_the_least(found):
     """A sufficient condition, of maxima taken one by one."""
     supply = found["supply"]

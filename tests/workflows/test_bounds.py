@@ -82,7 +82,7 @@ def loop_and_courses():
     return loop, jax.tree.map(lambda *a: jnp.stack(a), *scenarios)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_refined_bounds_track_better_on_other_plants(loop_and_courses):
     """Bounds far off are mended on two plants; a third, unseen, gains too."""
     loop, scenarios = loop_and_courses
