@@ -288,8 +288,10 @@ def on_all_cores(run: Callable[[int, Span], PyTree], batch: Batch) -> PyTree:
         NumPy's arrays with the windows first, of which those that only fill the last
         piece up stand at the end.
     """
-    each = -(-len(batch.P_0) // (HANDFUL * cores())) * HANDFUL
-    size = min(each, PIECE, len(batch.P_0))
+    # Two at least. Not one for each core: sums of other shapes are rounded otherwise,
+    # and what is found would depend on the machine.
+    half = -(-len(batch.P_0) // (2 * HANDFUL)) * HANDFUL
+    size = min(half, PIECE, len(batch.P_0))
     pieces = -(-int(np.sum(np.asarray(batch.weight) > 0)) // size)
     # As many for each core, so that none waits for another.
     calls = min(-(-pieces // (PIECES * cores())) * cores(), pieces)

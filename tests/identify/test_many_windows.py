@@ -113,6 +113,18 @@ def test_fits_of_few_windows_run_the_program_of_all(leaking):
     )
 
 
+def test_the_number_of_cores_changes_no_bit(leaking, monkeypatch):
+    problem = replace(api._problems(leaking, [])[0], least=(0, 0, 0))
+    values, found = problem.initial_values(), []
+    for count in (1, 2, 3):
+        monkeypatch.setattr(misfit, "cores", lambda count=count: count)
+        monkeypatch.setattr(misfit, "_pool", lambda n=count: ThreadPoolExecutor(n))
+        fresh = replace(problem)
+        found.append((fresh.sums_at(values), fresh.residuals_at(values)))
+    for other in found[1:]:
+        jax.tree.map(np.testing.assert_array_equal, other, found[0])
+
+
 def test_some_windows_are_taken_where_that_is_much_less_work(leaking):
     problem = api._problems(leaking, [])[0]
     count = len(problem.batch.P_0)
