@@ -42,7 +42,6 @@ from hydrojax.identify.estimation.solve import Fit, minimise_step_by_step
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.plant.places import gauge_names
-from hydrojax.plant.replay import Motion
 from hydrojax.plant.rig import Rig
 
 SPARE = ((2, 3), (4, 9), (8, 20), (16, 40))
@@ -168,13 +167,13 @@ class Problem:
         batch = self.batch if noise is None else self.batch._replace(noise=noise)
         tied = self.criteria.tied if self.symmetric else None
         slope, away = prior_rows(self.free, self.known, tied, columns, at, scale)
-        full, count = self._filled(batch), len(batch.P_0)
+        full = self._filled(batch)
         model, begun = self.model.acting(values, free)
         directions = basis(model, free, slots)
         start, moves = np.asarray(begun), block_diag(*directions)
 
         def gram(d: Float[np.ndarray, "k"]) -> tuple[np.ndarray, Sums]:
-            there = self._sums(model, start + moves @ d, directions, full, count)
+            there = self._sums(model, start + moves @ d, directions, batch, full)
             # What is known beforehand is more residual rows.
             rows = np.concatenate([slope, (slope @ d + away)[:, None]], axis=1)
             return np.sum(there.gram, axis=0) + rows.T @ rows, there
@@ -239,7 +238,7 @@ class Problem:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
         model, at = self.model.acting(values)
         full = self._filled(batch)
-        recalled = self._recall(model, at, None, full.motion)
+        recalled = self._recall(model, at, None, batch, full)
 
         def run(*pieces):
             return run_leftover(model, at, full, self.simulate, recalled, *pieces)
@@ -251,12 +250,12 @@ class Problem:
         model: ParametricRig,
         values: Float[Array | np.ndarray, "n"],
         directions: Basis,
+        batch: Batch,
         full: Batch,
-        count: int,
     ) -> Sums:
-        """The windows' sums of a filled batch, of whose windows `count` are real."""
+        """The windows' sums of a batch; `full` is what it is filled up to."""
         along = np.asarray(memory_along(model, directions))
-        recalled = self._recall(model, values, along, full.motion)
+        recalled = self._recall(model, values, along, batch, full)
         at = jnp.asarray(values)
 
         def run(*pieces):
@@ -264,24 +263,31 @@ class Problem:
                 model, at, directions, full, self.simulate, recalled, *pieces
             )
 
-        return jax.tree.map(lambda a: a[:count], on_all_cores(run, full))
+        real = len(batch.P_0)
+        return jax.tree.map(lambda a: a[:real], on_all_cores(run, full))
 
     def _recall(
         self,
         model: ParametricRig,
         values: Float[Array | np.ndarray, "n"],
         along: Float[np.ndarray, "names columns"] | None,
-        motion: Motion,
+        batch: Batch,
+        full: Batch,
     ) -> Recalled:
-        """What friction remembers; kept for the values of the last few calls, which
-        often differ in nothing that it depends on.
+        """What friction remembers of a batch's motion; kept for the values of the last
+        few calls, which often differ in nothing that it depends on.
+
+        Only of the problem's own motion: where something gives it is run under other
+        forces, too.
         """
+        if batch.motion is not self.batch.motion:
+            return recall_all(model, values, along, full.motion)
         names = memory_names(model.rig)
         own = np.asarray(values)[[model.names.index(n) for n in names]]
         key = own.tobytes() + (b"" if along is None else along.tobytes())
         found = self._recalled.get(key)
         if found is None:
-            found = recall_all(model, values, along, motion)
+            found = recall_all(model, values, along, full.motion)
             if sum(a.nbytes for a in jax.tree.leaves(found)) < SMALL:
                 self._recalled[key] = found
             for old in list(self._recalled)[:-KEPT]:
@@ -346,7 +352,7 @@ class Problem:
         model, at = self.model.acting(values, free)
         directions = basis(model, free, slots)
         full = self._filled(batch)
-        return self._sums(model, at, directions, full, len(batch.P_0))
+        return self._sums(model, at, directions, batch, full)
 
     def behind(self, values: Float[np.ndarray, "n"]) -> Problem:
         """The problem at the pressures that are replayed at `values`: what acts behind

@@ -13,6 +13,7 @@ import pytest
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation import misfit
+from hydrojax.identify.estimation import problem as problems
 from hydrojax.identify.estimation.columns import Batch, room_of, thinned
 from hydrojax.identify.estimation.fit import fit_all, in_short
 from hydrojax.identify.estimation.misfit import (
@@ -21,6 +22,7 @@ from hydrojax.identify.estimation.misfit import (
     Span,
     in_pieces,
     on_all_cores,
+    recall_all,
 )
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing
@@ -123,6 +125,39 @@ def test_the_number_of_cores_changes_no_bit(leaking, monkeypatch):
         found.append((fresh.sums_at(values), fresh.residuals_at(values)))
     for other in found[1:]:
         jax.tree.map(np.testing.assert_array_equal, other, found[0])
+
+
+def test_what_friction_remembers_is_kept_of_the_log_s_motion_only(leaking):
+    """Asked again under another force, a rod that gives remembers another motion."""
+    problem = api._problems(leaking, ["rod_compliance"])[0]
+    values = problem.initial_values()
+    values[problem.model.names.index("rod_compliance.give")] = 3e-7
+    motion = problem.batch.motion
+    pulled = problem.batch._replace(motion=motion._replace(F=2 * np.asarray(motion.F)))
+    own = problem._left(values, problem.batch)[0]
+    assert problem._recalled  # what it found is kept
+    under = problem._left(values, pulled)[0]
+    fresh = replace(problem, batch=pulled)._left(values, pulled)[0]
+    np.testing.assert_array_equal(under, fresh)
+    assert not np.array_equal(under, own)
+    np.testing.assert_array_equal(problem._left(values, problem.batch)[0], own)
+
+
+def test_it_is_kept_while_nothing_that_it_depends_on_changes(leaking, monkeypatch):
+    runs = []
+
+    def counted(*given):
+        runs.append(given)
+        return recall_all(*given)
+
+    monkeypatch.setattr(problems, "recall_all", counted)
+    problem = replace(api._problems(leaking, [])[0])
+    values, names = problem.initial_values(), problem.model.names
+    for name, counts in (("k_cp", 1), ("beta", 1), ("z_ss", 2), ("L_rate", 3)):
+        values = values.copy()
+        values[names.index(name)] *= 1.1
+        problem.sums_at(values)
+        assert len(runs) == counts, name
 
 
 def test_some_windows_are_taken_where_that_is_much_less_work(leaking):
