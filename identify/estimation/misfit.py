@@ -16,7 +16,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from hydrojax.identify.estimation.columns import (
     HANDFUL,
@@ -328,7 +328,7 @@ def run_recall(
 def run_recall_along(
     model: ParametricRig,
     values: Float[Array | np.ndarray, "n"],
-    which: np.integer,
+    which: Int[Array, ""] | np.integer | int,
     motion: Motion,
 ) -> Past:
     """`recall_along`, compiled."""
@@ -353,7 +353,7 @@ def recall_all(
         by = run_recall_along(model, values, np.int32(which), motion)
         return jax.tree.map(np.asarray, by)
 
-    past, *by = at_once(part, [-1, *moved])
+    past, *by = at_once(part, [-1, *map(int, moved)])
     if along is None:
         return Recalled(past, None, np.zeros((0, 0)))
     spare = max(len(moved) % 2, 2 - len(moved))  # few programs serve any number
