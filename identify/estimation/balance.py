@@ -28,7 +28,7 @@ from hydrojax.identify.estimation.columns import (
     slot_names,
     thinned,
 )
-from hydrojax.identify.estimation.misfit import Span, in_pieces
+from hydrojax.identify.estimation.pieces import Span, in_pieces
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.sensitivity import opened_along
 from hydrojax.identify.estimation.starts import placed

@@ -8,9 +8,7 @@ pressures eliminated, and the large Jacobian is never stored beyond that.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -26,6 +24,7 @@ from hydrojax.identify.estimation.columns import (
     Batch,
     ParametricRig,
 )
+from hydrojax.identify.estimation.pieces import PIECE, PIECES, Span, at_once, in_pieces
 from hydrojax.identify.estimation.sensitivity import (
     Recalled,
     driven_pressures,
@@ -34,7 +33,6 @@ from hydrojax.identify.estimation.sensitivity import (
     recall_along,
     sensitivities,
 )
-from hydrojax.jax_setup import cores
 from hydrojax.parameters import put
 from hydrojax.plant.replay import Motion, Past, pressures
 from hydrojax.programs.compiled import program_of_pytrees
@@ -68,59 +66,6 @@ class Sums(NamedTuple):
     gram: Float[Array | np.ndarray, "windows rows columns"]
     start: Float[Array | np.ndarray, "windows unknowns columns"]
     sse: Float[Array | np.ndarray, "windows 3"]
-
-
-PIECE = 96
-"""Windows whose pressures are run side by side, at most: with 32 or 256 a step of a fit
-takes up to half as long again."""
-
-PIECES = 4
-"""Pieces that one call runs at most, so that memory does not grow with the logs."""
-
-
-class Span(NamedTuple):
-    """Some of the pieces that windows are cut into.
-
-    Attributes:
-        first: of them.
-        end: the first after them.
-    """
-
-    first: Array | np.integer | int
-    end: Array | np.integer | int
-
-
-def in_pieces(
-    part: Callable, size: int, span: Span, *windows: PyTree, most: int = PIECES
-) -> PyTree:
-    """`part` of arrays with the windows first, in pieces of `size`, one after the other
-    if they are many.
-
-    Only the pieces of the span are run, so that one program serves batches that fill it
-    by much and by little, and several threads. Their rows stand at the head of what
-    comes back, which has room for `most` pieces; those of the rest are 0. `part` is
-    given which piece it has, and the windows.
-    """
-    count = jax.tree.leaves(windows)[0].shape[0]
-    if count <= size:
-        return part(0, *windows)
-    pieces = -(-count // size)
-    first, end = span
-
-    def piece(i):
-        # The last piece is filled with copies of the last window.
-        index = jnp.minimum(i * size + jnp.arange(size), count - 1)
-        return part(i, *jax.tree.map(lambda a: a[index], windows))
-
-    def put_in(i, out):
-        return jax.tree.map(lambda a, b: a.at[i - first].set(b), out, piece(i))
-
-    room = min(pieces, most)
-    none = jax.tree.map(
-        lambda a: jnp.zeros((room, *a.shape), a.dtype), jax.eval_shape(piece, 0)
-    )
-    out = jax.lax.fori_loop(first, end, put_in, none)
-    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), out)
 
 
 def _of_windows(
@@ -203,8 +148,11 @@ def sums(
 
     each = [by(which) for which in range(len(along))]
     recalled = Recalled(past, jax.tree.map(lambda *a: jnp.stack(a), *each), along)
-    whole = (len(batch.P_0), Span(0, 1))
-    return sums_of_some(model, values, directions, batch, simulate, recalled, *whole)
+    count = len(batch.P_0)
+    size = min(count, max(PIECE, -(-count // PIECES)))
+    pieces = (size, Span(0, -(-count // size)))
+    out = sums_of_some(model, values, directions, batch, simulate, recalled, *pieces)
+    return jax.tree.map(lambda a: a[:count], out)
 
 
 def _sums(batch: Batch, y: Array, dy: Array) -> Sums:
@@ -275,45 +223,6 @@ def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:
     cross = jnp.einsum("iwtc,wtc->wi", scaled, -residual * white)
     start = jnp.linalg.solve(B, cross[..., None])[..., 0]
     return _leftover(residual, dy, white, start), start[:, :2]
-
-
-def on_all_cores(run: Callable[[int, Span], PyTree], batch: Batch) -> PyTree:
-    """What `run` gives of the pieces of a batch, each core at work on some of them.
-
-    Args:
-        run: is given how many windows a piece has, and some of the pieces.
-        batch: of which only the windows with a weight are run.
-
-    Returns:
-        NumPy's arrays with the windows first, of which those that only fill the last
-        piece up stand at the end.
-    """
-    # Two at least. Not one for each core: sums of other shapes are rounded otherwise,
-    # and what is found would depend on the machine.
-    half = -(-len(batch.P_0) // (2 * HANDFUL)) * HANDFUL
-    size = min(half, PIECE, len(batch.P_0))
-    pieces = -(-int(np.sum(np.asarray(batch.weight) > 0)) // size)
-    # As many for each core, so that none waits for another.
-    calls = min(-(-pieces // (PIECES * cores())) * cores(), pieces)
-    ends = np.linspace(0, pieces, calls + 1).astype(np.int32)
-
-    def part(first: np.int32, end: np.int32) -> PyTree:
-        out = run(size, Span(first, end))
-        return jax.tree.map(lambda a: np.asarray(a)[: (end - first) * size], out)
-
-    parts = at_once(part, ends[:-1], ends[1:])
-    return jax.tree.map(lambda *a: np.concatenate(a), *parts)
-
-
-def at_once(part: Callable, *given: Sequence | np.ndarray) -> list:
-    """`part` of the first of all that is given, of the second, ...; on all cores."""
-    alone = cores() == 1 or len(given[0]) == 1
-    return list(map(part, *given) if alone else _pool().map(part, *given))
-
-
-@functools.cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(cores(), "pieces")
 
 
 @program_of_pytrees

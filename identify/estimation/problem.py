@@ -27,12 +27,12 @@ from hydrojax.identify.estimation.known import Free, Known, prior_rows
 from hydrojax.identify.estimation.misfit import (
     START_SPREAD,
     Sums,
-    on_all_cores,
     recall_all,
     run_leftover,
     run_pressures,
     run_sums,
 )
+from hydrojax.identify.estimation.pieces import on_all_cores
 from hydrojax.identify.estimation.sensitivity import (
     Recalled,
     memory_along,

@@ -25,11 +25,8 @@ from hydrojax.identify.estimation.balance import (
 from hydrojax.identify.estimation.columns import basis, filled, thinned
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.known import free_effect, free_parameters
-from hydrojax.identify.estimation.misfit import (
-    Span,
-    recall_all,
-    run_sums,
-)
+from hydrojax.identify.estimation.misfit import recall_all, run_sums
+from hydrojax.identify.estimation.pieces import Span
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.estimation.sensitivity import memory_along
 from hydrojax.identify.preparation import data as preparation

@@ -12,17 +12,17 @@ import pytest
 
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
-from hydrojax.identify.estimation import misfit
+from hydrojax.identify.estimation import misfit, pieces
 from hydrojax.identify.estimation import problem as problems
-from hydrojax.identify.estimation.columns import Batch, room_of, thinned
+from hydrojax.identify.estimation.columns import Batch, basis, room_of, thinned
 from hydrojax.identify.estimation.fit import fit_all, in_short
-from hydrojax.identify.estimation.misfit import (
+from hydrojax.identify.estimation.misfit import recall_all
+from hydrojax.identify.estimation.pieces import (
     PIECE,
     PIECES,
     Span,
     in_pieces,
     on_all_cores,
-    recall_all,
 )
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Tracing
@@ -80,8 +80,8 @@ def test_no_call_runs_more_pieces_than_it_has_room_for():
 @pytest.mark.parametrize("real", [1, 40, 97, 190, 1000])
 def test_each_core_has_its_share_of_the_windows(monkeypatch, at_hand, real):
     """Every window with a weight is run once, in its place, by calls of like size."""
-    monkeypatch.setattr(misfit, "cores", lambda: at_hand)
-    monkeypatch.setattr(misfit, "_pool", lambda: ThreadPoolExecutor(at_hand))
+    monkeypatch.setattr(pieces, "cores", lambda: at_hand)
+    monkeypatch.setattr(pieces, "_pool", lambda: ThreadPoolExecutor(at_hand))
     count, calls = bucket(real), []
     weight = (np.arange(count) < real) * 1.0
     batch = Batch(None, None, np.zeros((count, 2)), None, None, weight)
@@ -119,12 +119,27 @@ def test_the_number_of_cores_changes_no_bit(leaking, monkeypatch):
     problem = replace(api._problems(leaking, [])[0], least=(0, 0, 0))
     values, found = problem.initial_values(), []
     for count in (1, 2, 3):
-        monkeypatch.setattr(misfit, "cores", lambda count=count: count)
-        monkeypatch.setattr(misfit, "_pool", lambda n=count: ThreadPoolExecutor(n))
+        monkeypatch.setattr(pieces, "cores", lambda count=count: count)
+        monkeypatch.setattr(pieces, "_pool", lambda n=count: ThreadPoolExecutor(n))
         fresh = replace(problem)
         found.append((fresh.sums_at(values), fresh.residuals_at(values)))
     for other in found[1:]:
         jax.tree.map(np.testing.assert_array_equal, other, found[0])
+
+
+@pytest.mark.parametrize("piece", [96, 16, 1])
+def test_sums_that_more_is_compiled_around_are_cut_as_well(leaking, monkeypatch, piece):
+    problem = api._problems(leaking, [])[0]
+    values, model = problem.initial_values(), problem.model
+    few = replace(problem, batch=thinned(problem.batch, 19))
+    n = model.hydraulic
+    directions = basis(model, model.names, (n, len(model.names) - n))
+    monkeypatch.setattr(misfit, "PIECE", piece)
+
+    run = jax.jit(lambda v, b: misfit.sums(model, v, directions, b, True).gram)
+    found = run(values, few.batch)
+    wanted = few.sums_at(values).gram
+    np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-11 * np.max(wanted))
 
 
 def test_what_friction_remembers_is_kept_of_the_log_s_motion_only(leaking):
