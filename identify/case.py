@@ -266,10 +266,13 @@ def _prepared(
     sign = -1.0 if runs_backward(fit, criteria) else 1.0
     if sign < 0:
         fit = ready(fitted, fit.noise, sign)
+        way = "P pushes toward positive v"
+        if not spec.layout.driven:
+            way = "friction makes F negative where v is positive"
         notes = (
             *notes,
             "friction as logged drives the motion: the position runs against the "
-            "rig's sign (P pushes toward positive v), so it was inverted; write "
+            f"rig's sign ({way}), so it was inverted; write "
             "invert = true under [channels] of the rig file",
         )
     check = ready(others, fit.noise, sign) if others else fit

@@ -74,7 +74,7 @@ Supply = Annotated[
 Layout = Annotated[
     str,
     typer.Option(
-        help="pull-pull, differential, single or driven-axis.",
+        help="pull-pull, differential, single, driven-axis or tester.",
         show_default="from columns and rod",
     ),
 ]

@@ -51,11 +51,12 @@ def plant_machine(model: DrivenRig) -> Machine:
     def drive(at: Numbers) -> Drive:
         zero = jnp.zeros(())
         return Drive(**{n: at.get(n, zero) for n in Drive._fields})._replace(
-            P=None if model.has_valve else at["P"]
+            P=None if model.has_valve else at.get("P", zero)
         )
 
     def begin(p: Numbers, at: Numbers) -> tuple[Any, Numbers]:
-        P = (at["P_a1"], at["P_a2"]) if model.has_valve else (0.0 * at["P"], at["P"])
+        zero = 0.0 * at["x"]
+        P = (at["P_a1"], at["P_a2"]) if model.has_valve else (zero, at.get("P", zero))
         still = inputs_from(drive(at), at["t"], at["since"], jnp.zeros(()))
         return start(_rig(build, p), still, P)
 

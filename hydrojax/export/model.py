@@ -49,6 +49,8 @@ PERIOD = 1e-3
 def variables_without(layout: Layout) -> frozenset[str]:
     """The variables that a rig of this layout does not have."""
     line = {"P"} if layout.has_valve else {"u", "P_s", "P_r"}
+    if not layout.driven:
+        line |= {"P"}
     absent = layout.unmeasured
     return frozenset(line).union(absent, (f"{p}_start" for p in absent))
 
@@ -80,7 +82,7 @@ class DrivenRig:
 
     @property
     def has_valve(self) -> bool:
-        """Whether a valve drives it; else the drive force `P` does."""
+        """Whether a valve drives it; else the drive force `P` does, or nothing."""
         return self.spec.layout.has_valve
 
 

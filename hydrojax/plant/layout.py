@@ -27,6 +27,8 @@ class Layout:
         pressures: the chamber pressures that exist, and so can be logged.
         has_valve: whether a valve drives the chambers. Without one the net drive force
             P is an input.
+        driven: whether anything drives the piston. Nothing does where it is moved from
+            outside, and the force that it takes is measured.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Layout:
     force_areas: tuple[str | float, str | float]
     pressures: tuple[str, ...] = ("P_a1", "P_a2")
     has_valve: bool = True
+    driven: bool = True
 
     def areas(
         self, geometry: Mapping[str, float]
@@ -81,6 +84,7 @@ LAYOUTS: Mapping[str, Layout] = MappingProxyType(
             Layout("single", ("area",), ("area", "area"), (0.0, "area"), ("P_a2",)),
             # P_a2 stands for the drive force: P/(1 m^2) on one square metre.
             Layout("driven-axis", (), (1.0, 1.0), (0.0, 1.0), (), has_valve=False),
+            Layout("tester", (), (1.0, 1.0), (0.0, 1.0), (), False, driven=False),
         )
     }
 )

@@ -25,7 +25,8 @@ MEANINGS: Mapping[str, str] = {
     "name": "Of the rig, in reports.",
     "layout": "pull-pull: two chambers of equal area. differential: area_1 on the rod "
     "side, area_2 on the bore side. single: one pressurised chamber, P_a2. "
-    "driven-axis: a drive force P, no pressures.",
+    "driven-axis: a drive force P, no pressures. tester: moved from outside against a "
+    "load cell, no drive.",
     "geometry": "Known sizes; a tolerance may follow: 1.18e-3 m^2 +- 1 %.",
     "supply": "Pressures where the log has no such channel.",
     "sensors": "Standard deviation of the noise, where it is known.",

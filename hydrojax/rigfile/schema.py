@@ -339,6 +339,15 @@ def _check_predicted(spec: RigFile) -> None:
             f"{spec.path}: [load] predicts: invalid {units.shown(spec.predicts)}: "
             f'expected "{PREDICTED[0]}", or delete the line'
         )
+    if spec.predicts and not spec.layout.driven:
+        raise InputError(
+            f"{spec.path}: [load] predicts: a {spec.layout.name} has no drive that "
+            "could move it; delete the line"
+        )
+    if not spec.layout.driven and "F" in spec.output_load:
+        raise InputError(
+            f"{spec.path}: [load] F: a {spec.layout.name} measures F; delete the line"
+        )
     if spec.predicts and spec.output_load.get("F", 0.0) != 0.0:
         raise InputError(
             f"{spec.path}: [load] F must be 0 N where predicts is given: a load that "

@@ -88,7 +88,8 @@ class Inputs:
     @cached_property
     def has_force(self) -> bool:
         """Whether the balance of force can be drawn up."""
-        needs = set(self.spec.layout.pressures) or {"P"}
+        layout = self.spec.layout
+        needs = set(layout.pressures) or ({"P"} if layout.driven else set())
         enough = self._windows(self.ticks[1], SETTLE) >= ENOUGH
         return {"F", *needs} <= self.logged and enough
 

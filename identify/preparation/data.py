@@ -231,10 +231,11 @@ def _band_note(band: float, driven_by: str) -> list[str]:
 
 
 def driver(logs: Sequence[Log], spec: RigFile) -> str:
-    """What drives the replay: `u`, the pressures, or `P`.
+    """What drives the replay: `u`, the pressures, `P`, or the motion `x` alone.
 
     Raises:
-        InputError: nothing to predict, or logs that differ in their signals.
+        InputError: nothing to predict, logs that differ in their signals, or a drive
+            that the layout does not have.
     """
     has = set(logs[0].signals)
     for log in logs[1:]:
@@ -247,6 +248,17 @@ def driver(logs: Sequence[Log], spec: RigFile) -> str:
     pressures = set(spec.layout.pressures)
     force = "F" in has or "F" in spec.output_load
     name = logs[0].name
+    if not spec.layout.driven:
+        if more := sorted({"u", "P", "P_a1", "P_a2"} & has):
+            raise InputError(
+                f"{name}: {more[0]} drives, but a {spec.layout.name} has no drive: "
+                "take the column out, or name another layout in the rig file"
+            )
+        if "F" not in has:
+            raise InputError(
+                f"{name}: nothing to predict: a {spec.layout.name} needs F [N]"
+            )
+        return "x"
     if not spec.layout.has_valve:
         if "P" not in has:
             raise InputError(

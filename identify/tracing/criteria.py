@@ -250,4 +250,5 @@ class Criteria:
             "u": self.band_noise_u,
             "pressures": self.band_noise_pressures,
             "P": self.band_noise_P,
+            "x": self.band_noise_pressures,
         }

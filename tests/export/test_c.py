@@ -274,6 +274,7 @@ LAYOUTS = {
     "single": 'layout = "single"\n[geometry]\narea = "1.2e-3 m^2"\n'
     'chamber_length = "0.2 m"\n',
     "driven-axis": 'layout = "driven-axis"\n',
+    "tester": 'layout = "tester"\n[parameters]\nk_cp = "20 N"\nk_cn = "30 N"\n',
 }
 
 

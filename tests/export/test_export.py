@@ -734,6 +734,12 @@ def test_an_axis_without_a_valve_has_friction_only(fmpy, tmp_path):
     out = fmpy.simulate_fmu(str(fmu), stop_time=2.0, output_interval=1e-3, input=table)
     # Sliding at 0.2 m/s: P - friction - m a; L(t) leaves 1e-5 of friction.
     assert out["F"][-1] == pytest.approx(100 - 20 - 204 * 0.2 - 95 * 0.1, rel=5e-5)
+    bench = spec_of(text.replace("driven-axis", "tester"), tmp_path)
+    fmu, _ = write_fmu(bench, tmp_path)
+    names = [v.name for v in fmpy.read_model_description(str(fmu)).modelVariables]
+    assert "x" in names and "P" not in names
+    out = fmpy.simulate_fmu(str(fmu), stop_time=2.0, output_interval=1e-3, input=table)
+    assert out["F"][-1] == pytest.approx(-20 - 204 * 0.2 - 95 * 0.1, rel=5e-5)
 
 
 def test_the_command_line_refuses_to_overwrite_the_rig(tmp_path):

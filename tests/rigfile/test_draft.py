@@ -86,6 +86,12 @@ def test_one_pressure_and_a_drive_force(tmp_path):
     assert rig.layout.name == "driven-axis" and rig.supply == {}
     assert rig.channels["P"].unit == "kN"
     assert "beta" not in rig.parameters and "k_cp" in rig.parameters
+    del columns["Antriebskraft_kN"]
+    rig = RigFile.from_log(written(tmp_path / "bench.csv", columns))
+    assert rig.layout.name == "tester" and rig.supply == {}
+    level = rig.parameters["k_cp"]  # friction is all that the load cell sees
+    assert level.range[1] > 900 * np.max(np.abs(V)) > level.start > 0
+    assert rig.channels["F"].invert  # friction pulls back
 
 
 def test_a_force_that_pulls_is_turned(tmp_path):

@@ -87,7 +87,7 @@ class Read:
 
 def missing(log: Read) -> list[str]:
     """The fields of `Sizes` without which no rig file can be drafted."""
-    needs = [] if log.layout == "driven-axis" else ["bore", "stroke"]
+    needs = ["bore", "stroke"] if LAYOUTS[log.layout].has_valve else []
     needs += ["rod"] if log.layout == "differential" else []
     needs += ["radius"] if "psi" in log.signals else []
     return [name for name in needs if getattr(log.sizes, name) is None]
@@ -100,7 +100,7 @@ def rates_valve(log: Read) -> bool:
 
 def areas(log: Read) -> tuple[float, float]:
     """Areas of chambers 1 and 2, m^2."""
-    if log.layout == "driven-axis":
+    if not LAYOUTS[log.layout].has_valve:
         return 1.0, 1.0
     bore, rod = log.sizes.bore or 0.0, log.sizes.rod or 0.0
     full, ring = math.pi / 4 * bore**2, math.pi / 4 * (bore**2 - rod**2)
@@ -111,11 +111,14 @@ def areas(log: Read) -> tuple[float, float]:
 def ranges(log: Read) -> dict[str, tuple[float, float, float]]:
     """Start and range of each parameter, SI, as is usual for a cylinder so large."""
     stall = _supply_pressure(log) * float(np.mean(areas(log)))
-    if log.layout == "driven-axis" and "P" in log.signals:
-        stall = float(np.nanmax(np.abs(log.signals["P"].values)))
+    layout = LAYOUTS[log.layout]
+    most = log.signals.get("P" if layout.driven else "F")
+    if not layout.has_valve and most is not None:
+        stall = float(np.nanmax(np.abs(most.values)))
     stroke = log.sizes.stroke or 0.2
     c = _valve_constant(log)
-    slide, per_speed = 0.05 * stall, 2.0 * stall
+    # Friction is a small part of what a drive gives, and most of what a tester feels.
+    slide, per_speed = (0.05 if layout.driven else 0.5) * stall, 2.0 * stall
     out = {name: (c, c / 10, c * 10) for name in LANDS}
     out["beta"] = (9e8, 1e8, 3e9)
     for name in ("delta_1", "delta_2"):

@@ -25,6 +25,9 @@ from hydrojax.rigfile.draft.sizes import (
 from hydrojax.rigfile.plain import text
 from hydrojax.rigfile.sections import LANDS, SUPPLY, base_specs
 
+FORCES = (("P", "driven-axis"), ("F", "tester"))
+"""The layout of a log without command and pressures, by the force it has."""
+
 
 def read_log(
     paths: Sequence[str | Path], columns: Mapping[str, str], layout: str, sizes: Sizes
@@ -55,8 +58,8 @@ def read_log(
     if not layout:
         one = ("P_a1" in signals) != ("P_a2" in signals)
         layout = "single" if one else "differential" if sizes.rod != 0 else "pull-pull"
-        if not {"P_a1", "P_a2", "u"} & set(signals) and "P" in signals:
-            layout = "driven-axis"
+        if not {"P_a1", "P_a2", "u"} & set(signals):
+            layout = next((n for s, n in FORCES if s in signals), layout)
     if layout == "single" and "P_a2" not in signals and "P_a1" in signals:
         signals["P_a2"] = signals.pop("P_a1")  # the chamber that is under pressure
     labels = {g.column.label for g in signals.values()}
@@ -67,14 +70,15 @@ def read_log(
                 f"{other}: no column {min(lost)!r}, which {path} has; draft a rig file "
                 "from logs of one logger"
             )
-    return Read(file, _turned(signals), layout, sizes)
+    return Read(file, _turned(signals, LAYOUTS[layout].driven), layout, sizes)
 
 
-def _turned(signals: dict[str, Guess]) -> dict[str, Guess]:
+def _turned(signals: dict[str, Guess], driven: bool) -> dict[str, Guess]:
     """Signals with the sign that the others ask of the command and the force.
 
     Chamber 1 shrinks as x grows, so that a positive command moves the piston back. The
-    pressures push the load the way that they push the piston.
+    pressures push the load the way that they push the piston. Where nothing drives,
+    friction pulls the load back.
     """
     out = dict(signals)
     motion = signals.get("x") or signals.get("psi")
@@ -87,6 +91,9 @@ def _turned(signals: dict[str, Guess]) -> dict[str, Guess]:
         out["F"] = _with_sign(signals["F"], like)
         if "F_d" in signals:
             out["F_d"] = _with_sign(signals["F_d"], like)
+    if motion and not driven and "F" in signals:
+        back = -np.gradient(motion.values)
+        out["F"] = _with_sign(signals["F"], _likeness(signals["F"].values, back))
     return out
 
 
@@ -153,7 +160,7 @@ def _geometry(log: Read) -> Iterator[str]:
         yield _line("area_2", area_2, "bore side; pushes toward positive x")
     elif layout == "single":
         yield _line("area", area_1, "CHECK: of the chamber under pressure; the bore's")
-    elif layout != "driven-axis":
+    elif LAYOUTS[layout].has_valve:
         yield _line("area", area_1, "of each chamber, without the rod")
     if sizes.stroke is not None:
         yield _line(
