@@ -147,6 +147,19 @@ def refine(
     both = _cost_and_slope(loop, plants, scenarios, names, bounds)
     begin = np.maximum(away, FLOOR)
 
+    most = np.concatenate([(lower - low) / scale, (high - upper) / scale])
+    ends = bounds(jnp.asarray(_lowest(both, begin, np.maximum(most, FLOOR), progress)))
+    return np.asarray(ends[0]), np.asarray(ends[1])
+
+
+def _lowest(
+    both: Callable[..., Any],
+    begin: np.ndarray,
+    most: np.ndarray,
+    progress: Callable[[str], None],
+) -> np.ndarray:
+    """Where a cost is lowest between 0 and `most`; `both` gives it, and its slope."""
+
     def evaluate(at):
         value, slope = both(jnp.asarray(at))
         return float(value), np.asarray(slope)
@@ -156,19 +169,15 @@ def refine(
     def step(at):
         progress(f"refine the bounds: {np.sqrt(evaluate(at)[0]):.3g} N RMS")
 
-    most = np.concatenate([(lower - low) / scale, (high - upper) / scale])
-    reach = [(0.0, max(m, FLOOR)) for m in most]
-    found = optimize.minimize(
+    return optimize.minimize(
         lambda at: tuple(v / whole for v in evaluate(at)),
-        np.minimum(begin, [b for _, b in reach]),
+        np.minimum(begin, most),
         jac=True,
         method="L-BFGS-B",
-        bounds=reach,
+        bounds=[(0.0, m) for m in most],
         callback=step,
         options={"maxiter": MAX_ITERATIONS, "ftol": 1e-5},
-    )
-    ends = bounds(jnp.asarray(found.x))
-    return np.asarray(ends[0]), np.asarray(ends[1])
+    ).x
 
 
 def _cost_and_slope(

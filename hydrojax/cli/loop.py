@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -26,6 +26,9 @@ from hydrojax.cli.words import read_gains
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 from hydrojax.report.files import digest, write_all
+
+if TYPE_CHECKING:
+    from hydrojax.identify.design import Design
 
 
 @app.command()
@@ -120,7 +123,6 @@ def excite(
     from hydrojax import units
     from hydrojax.identify.design import design
     from hydrojax.identify.experiment import ExcitationLimits
-    from hydrojax.report.text import quantity_text
     from hydrojax.rigfile import recording
     from hydrojax.rigfile.schema import RigFile
 
@@ -143,19 +145,20 @@ def excite(
     recording.write_log(
         out, recording.scenario_columns(found.t, found.F_d, found.x, spec)
     )
-    what = "smallest size shown" if both else "standard deviation"
+    _print_design(found, "smallest size shown" if both else "standard deviation")
+    console.print(f"reference and motion in {out}: simulate --reference and --motion")
+
+
+def _print_design(found: Design, what: str) -> None:
+    """What the designed run tells of each parameter, beside the undesigned one."""
+    from hydrojax.report.text import quantity_text
+
     table = Table(what, "undesigned", "designed", "times better")
     for name, before in found.before.items():
-        unit = found.units[name]
-        after = found.after[name]
-        table.add_row(
-            name,
-            quantity_text(before, unit),
-            quantity_text(after, unit),
-            f"{before / after:.2g}",
-        )
+        after, unit = found.after[name], found.units[name]
+        sizes = (quantity_text(size, unit) for size in (before, after))
+        table.add_row(name, *sizes, f"{before / after:.2g}")
     console.print(table)
-    console.print(f"reference and motion in {out}: simulate --reference and --motion")
 
 
 @app.command()

@@ -227,13 +227,19 @@ def tune(
             )
             progress("draw")
             found[kind].save(folders[kind], command_line(context))
-    if len(kinds) > 1:
-        _print_all(found, out)
-    else:
-        _print(found[kinds[0]])
-        console.print(f"tune.json, rig.toml and report.html in {out}")
+    _print_found(found, out)
     if all(tuned.obstacles for tuned in found.values()):
         raise typer.Exit(1)
+
+
+def _print_found(found: Mapping[str, Tuned], out: Path) -> None:
+    """What was found with one controller, or with several side by side."""
+    if len(found) > 1:
+        _print_all(found, out)
+        return
+    for tuned in found.values():
+        _print(tuned)
+    console.print(f"tune.json, rig.toml and report.html in {out}")
 
 
 def _print_all(found: Mapping[str, Tuned], out: Path) -> None:

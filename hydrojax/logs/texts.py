@@ -50,7 +50,7 @@ class Head:
 
 
 @dataclass(frozen=True)
-class Form:
+class TextForm:
     """How a text file writes its table."""
 
     encoding: str
@@ -165,7 +165,7 @@ def _opened(path: Path) -> Any:
     return (BoundedGzip if path.name.lower().endswith(".gz") else open)(path, "rb")
 
 
-def _form(path: Path) -> Form:
+def _form(path: Path) -> TextForm:
     """How a file is written, from its first lines."""
     with _opened(path) as file:
         raw = file.read(_SAMPLE)
@@ -186,7 +186,7 @@ def _form(path: Path) -> Form:
     rows = list(reader)
     head = head_of(rows, str(path))
     cells = rows[head.lines :]
-    return Form(encoding, separator, _decimal(cells, separator, head, path), head)
+    return TextForm(encoding, separator, _decimal(cells, separator, head, path), head)
 
 
 def _encoding(raw: bytes) -> str:

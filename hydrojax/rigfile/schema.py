@@ -247,19 +247,17 @@ def read_rig(
         for name, table in file.effects.items()
     }
     command = unit_of_command([*base, *(g for gs in added.values() for g in gs)])
-    known = {name: unit for name, unit in SIGNALS.items() if name != "time"}
-    noise_units = {n: units.with_command(u, command) for n, u in known.items()}
+    sensed = _sensor_units(command)
     geometry, own = _with_tolerances(f"{path}: [geometry]", file.geometry, GEOMETRY)
     check_known(f"{path}: [load]", file.load, (*LOAD, "predicts"), "key")
-    load = dict(file.load)
-    predicts = load.pop("predicts", "")
+    load = {key: value for key, value in file.load.items() if key != "predicts"}
     supply, also = _with_tolerances(f"{path}: [supply]", file.supply, SUPPLY_UNITS)
     spec = RigFile(
         name=file.name or one_line(Path(path).stem, WORD),
         layout=layout,
         geometry=geometry,
         supply=supply,
-        sensors=section_values(f"{path}: [sensors]", file.sensors, noise_units),
+        sensors=section_values(f"{path}: [sensors]", file.sensors, sensed),
         output_load=section_values(f"{path}: [load]", load, LOAD),
         channels=file.channels,
         parameters={g.field: entry(g, command) for g in base},
@@ -270,11 +268,17 @@ def read_rig(
         command_unit=command,
         path=path,
         tolerances=own | also,
-        predicts=predicts,
+        predicts=file.load.get("predicts", ""),
         text=text,
     )
     _check(spec)
     return spec
+
+
+def _sensor_units(command: str) -> dict[str, str]:
+    """Unit of each signal's noise, where the command has the unit `command`."""
+    known = (name for name in SIGNALS if name != "time")
+    return {name: units.with_command(SIGNALS[name], command) for name in known}
 
 
 def _with_tolerances(

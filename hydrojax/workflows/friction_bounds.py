@@ -16,7 +16,7 @@ from hydrojax.identify import api
 from hydrojax.identify.case import Case
 from hydrojax.identify.estimation.box import (
     Box,
-    Stretch,
+    FrictionStretch,
     fit_stretches,
     friction_names,
     smallest_box,
@@ -60,8 +60,8 @@ class Bounds:
     """
 
     box: Box
-    fits: list[Stretch]
-    other_fits: list[Stretch]
+    fits: list[FrictionStretch]
+    other_fits: list[FrictionStretch]
     bounds: dict[str, Ends]
     coverage: dict[str, float]
     proposed: str
@@ -96,7 +96,6 @@ def friction_bounds(
     free = [state.problem.free[n] for n in names]
     limits = [(f.lower, f.upper) for f in free]
     box = smallest_box(names, fits, confidence, limits)
-
     spec = identified(case.spec, state.named)
     loop = build_loop(spec)
     loop, scenarios = _scenarios(spec, loop, case.fit_logs)
@@ -134,7 +133,7 @@ def friction_bounds(
 
 
 def _plants(
-    names: tuple[str, ...], fits: list[Stretch], loop: Loop, seed: int = 0
+    names: tuple[str, ...], fits: list[FrictionStretch], loop: Loop, seed: int = 0
 ) -> Plants:
     """The stretches' friction, each in a plant that the law does not quite know.
 
@@ -144,10 +143,10 @@ def _plants(
     return under_model_error(Plants(names, theta), loop, seed=seed)
 
 
-def _held(ends: Ends, fits: list[Stretch]) -> float:
+def _held(ends: Ends, fits: list[FrictionStretch]) -> float:
     """The share of stretches whose theta_f lies within bounds, within its own error."""
 
-    def one(f: Stretch) -> bool:
+    def one(f: FrictionStretch) -> bool:
         spare = 2 * np.sqrt(np.diag(f.covariance))
         return bool(np.all((f.theta >= ends[0] - spare) & (f.theta <= ends[1] + spare)))
 
@@ -156,7 +155,7 @@ def _held(ends: Ends, fits: list[Stretch]) -> float:
 
 def _fits(
     case: Case, state: Tracing, stretch: float
-) -> tuple[list[Stretch], list[Stretch]]:
+) -> tuple[list[FrictionStretch], list[FrictionStretch]]:
     """Friction in every stretch of the logs to fit, and of those to check."""
     logs = [log.name for log in case.fit_logs]
     fits = fit_stretches(state.problem, state.point, case.fit, logs, stretch)

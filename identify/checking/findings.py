@@ -17,7 +17,7 @@ from hydrojax.identify.checking.factors import (
 )
 from hydrojax.identify.checking.inputs import Inputs
 from hydrojax.identify.checking.regression import bump
-from hydrojax.identify.checking.search import searched
+from hydrojax.identify.checking.search import mends_wanted
 from hydrojax.identify.checking.sensors import DEAD
 from hydrojax.identify.checking.words import Finding
 from hydrojax.parameters import Spec
@@ -37,7 +37,7 @@ def inputs_that_lie(
     if any(f.finding == "stuck" and channels.repeated[f.input] > DEAD for f in sensors):
         return tuple(sensors)  # no balance closes with a dead sensor
     mended, scale, found = of, dict.fromkeys(channels.index, 1.0), []
-    for mend, before, after in searched(of):
+    for mend, before, after in mends_wanted(of):
         found.append(words.of_mend(mend, before, after, of))
         mended = mend.applied(mended)
         for name in mend.inputs:

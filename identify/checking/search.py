@@ -227,7 +227,7 @@ def _odd_constants(of: Inputs, fit: Fitted) -> dict[str, float]:
     return {n: v for n, v in out.items() if v > 0}
 
 
-def searched(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
+def mends_wanted(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
     """The mends that the logs ask for, each with the trial before and after it."""
     now = of.shortened(TRIAL_TICKS)
     before, found = tried(now), []

@@ -12,7 +12,7 @@ from hydrojax.identify.case import Case
 from hydrojax.identify.discovery.free_form import FORMS
 from hydrojax.identify.discovery.laid import laid_over
 from hydrojax.identify.discovery.search import Search, search
-from hydrojax.identify.discovery.shown import shown
+from hydrojax.identify.discovery.shown import found_curves
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import FitPoint, reweighted
 from hydrojax.identify.estimation.known import COULOMB, free_effect, free_parameters
@@ -93,7 +93,7 @@ def searched(
     fit, check = (samples_of(data, rig) for data in (case.fit, case.check))
     laid = laid_over(fit)
     end = search(start, laid)
-    curves = shown(end, start, case, fit, check)
+    curves = found_curves(end, start, case, fit, check)
     notes = outcome.notes
     if not curves:
         notes = (

@@ -46,7 +46,7 @@ NAMES = ("logaddexp(", "exp(", "sign(", "maximum(", "sin(", "cos(", "tanh(", "ab
 
 
 @dataclass(frozen=True)
-class Law:
+class FoundLaw:
     """What is written: a term, its curve, and the formula that stands for it.
 
     Attributes:
@@ -126,7 +126,7 @@ def effect_file(rig: str, curves: Sequence[FoundCurve]) -> str:
     return "\n".join(lines) + "\n" + "".join(c.source for c in curves)
 
 
-def effect_source(law: Law, name: str) -> str:
+def effect_source(law: FoundLaw, name: str) -> str:
     """The class of an effect of this name, in Python."""
     term = law.term
     title = "".join(word.capitalize() for word in name.split("_"))
@@ -158,7 +158,7 @@ def effect_source(law: Law, name: str) -> str:
     )
 
 
-def _declared(law: Law) -> list[str]:
+def _declared(law: FoundLaw) -> list[str]:
     """The parameters of an effect."""
     f, term = law.formula, law.term
     if f is None:
@@ -221,7 +221,7 @@ def over(unit: str, by: str, power: int) -> str:
     return text.replace("command", "{u}") or "1"
 
 
-def _law(law: Law) -> list[str]:
+def _law(law: FoundLaw) -> list[str]:
     """The method of an effect, and the curve that it calls."""
     if law.formula is None:
         body = "self.amount * curve(s, self.KNOTS, self.COEFFICIENTS)"

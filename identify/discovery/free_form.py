@@ -72,7 +72,9 @@ class FreeForm(Effect):
     c_12: Float[Array, ""] = _coefficient()
     c_13: Float[Array, ""] = _coefficient()
 
-    def along(self, signals: Sequence[Array | float]) -> Array:
+    def along(
+        self, signals: Sequence[Float[Array, "*batch"] | float]
+    ) -> Float[Array, "*batch"]:
         """The term where the signals of its place are `signals`."""
         s = sum(w * y for w, y in zip(self.signal, signals, strict=False))
         every = (1.0, *signals)

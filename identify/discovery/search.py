@@ -117,7 +117,7 @@ def above_noise(state: Tracing, inflation: float) -> float:
 
 
 def columns_of(
-    at: Search, laid: Sequence[Laid], weights: np.ndarray
+    at: Search, laid: Sequence[Laid], weights: Float[np.ndarray, "3"]
 ) -> dict[str, Columns]:
     """The sums of terms at the present fit, by name, at most one for each place."""
     state = with_terms(at.state, laid)

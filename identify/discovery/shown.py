@@ -10,7 +10,7 @@ from jaxtyping import Float
 from hydrojax.effects import EFFECTS
 from hydrojax.effects.splines import bspline
 from hydrojax.identify.case import Case
-from hydrojax.identify.discovery.effect_file import Law, effect_source
+from hydrojax.identify.discovery.effect_file import FoundLaw, effect_source
 from hydrojax.identify.discovery.formula import formula_of, onto_splines
 from hydrojax.identify.discovery.free_form import coefficients
 from hydrojax.identify.discovery.laid import Samples, with_laid
@@ -26,7 +26,7 @@ POINTS, RUG = 121, 400
 """Values of the signal at which a curve is given, and samples that are kept of it."""
 
 
-def shown(
+def found_curves(
     at: Search, start: Search, case: Case, fit: Samples, check: Samples
 ) -> tuple[FoundCurve, ...]:
     """All curves of a search that began at `start`, in the order they were found.
@@ -57,7 +57,7 @@ def _shown(at, curve: Curve, columns, case: Case, fit, check) -> FoundCurve:
     smooth = replace(curve.smooth, c=c)
     matters = size_that_matters(state, state.noise)
     formula = formula_of(columns, smooth, knots, rug, term.size, matters)
-    law = Law(term, knots, c * term.size, seen, formula, case.spec.command_unit)
+    law = FoundLaw(term, knots, c * term.size, seen, formula, case.spec.command_unit)
     law_y = None
     if formula is not None:
         rows, onto = onto_splines(knots, rug)

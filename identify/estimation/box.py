@@ -33,7 +33,7 @@ DRAWS = 20_000
 
 
 @dataclass(frozen=True)
-class Stretch:
+class FrictionStretch:
     """Friction in one stretch of one log; SI.
 
     Attributes:
@@ -80,7 +80,7 @@ def friction_names(problem: Problem) -> tuple[str, ...]:
 
 def fit_stretches(
     problem: Problem, point: FitPoint, data: Data, logs: Sequence[str], seconds: float
-) -> list[Stretch]:
+) -> list[FrictionStretch]:
     """Fit theta_f in every stretch of `seconds`, all else held at `point`.
 
     Args:
@@ -110,7 +110,9 @@ def fit_stretches(
             part = own[k : k + count]
             theta, covariance = _fit(problem, point, names, part)
             out.append(
-                Stretch(log, float(t[part[0]]), count * window, theta, covariance)
+                FrictionStretch(
+                    log, float(t[part[0]]), count * window, theta, covariance
+                )
             )
     if len(out) < 2:
         raise InputError(
@@ -149,7 +151,7 @@ def _fit(
 
 def smallest_box(
     names: tuple[str, ...],
-    fits: Sequence[Stretch],
+    fits: Sequence[FrictionStretch],
     confidence: float,
     limits: Sequence[tuple[float, float]],
 ) -> Box:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Int, PyTree
 
 from hydrojax.identify.estimation.columns import HANDFUL, Batch
 from hydrojax.jax_setup import cores
@@ -31,8 +31,8 @@ class Span(NamedTuple):
         end: the first after them.
     """
 
-    first: Array | np.integer | int
-    end: Array | np.integer | int
+    first: Int[Array, ""] | np.integer | int
+    end: Int[Array, ""] | np.integer | int
 
 
 def in_pieces(

@@ -79,7 +79,7 @@ class Problem:
     known: Known | None = None
     criteria: Criteria = Criteria()
     least: Room = (0, 0, 0)
-    _begun: dict[bytes, tuple[Batch, np.ndarray]] = field(
+    _begun: dict[bytes, tuple[Batch, Float[np.ndarray, "windows ticks 3"]]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
     _summed: dict[bytes, Sums] = field(

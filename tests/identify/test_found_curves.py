@@ -17,7 +17,7 @@ from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.effects.splines import knots_over
 from hydrojax.errors import InputError
 from hydrojax.identify.discovery.effect_file import (
-    Law,
+    FoundLaw,
     effect_file,
     effect_source,
     over,
@@ -43,15 +43,15 @@ FORM = {form.name: form for form in FORMS}
 SPANS = {"v": (-0.02, 0.02), "P": (1e6, 9e6), "x": (-0.01, 0.01)}
 
 
-def law(term: str, formula: Formula | None = None) -> Law:
+def law(term: str, formula: Formula | None = None) -> FoundLaw:
     """Of a term whose curve is a sine over its range."""
     span = SPANS[TERM[term].signal]
     knots = knots_over(np.linspace(*span, 2001), 14)
     c = TERM[term].size * np.sin(np.arange(14.0))
-    return Law(TERM[term], knots, c, span, formula)
+    return FoundLaw(TERM[term], knots, c, span, formula)
 
 
-def found(made: Law, says: str = "") -> FoundCurve:
+def found(made: FoundLaw, says: str = "") -> FoundCurve:
     s = np.linspace(*made.seen, 31)
     return FoundCurve(
         name=made.term.name,

@@ -10,7 +10,7 @@ import pytest
 from hydrojax import cli
 from hydrojax.control.simulation import make_scenario
 from hydrojax.control.waveforms import sinusoidal_path
-from hydrojax.identify.estimation.box import Stretch, smallest_box
+from hydrojax.identify.estimation.box import FrictionStretch, smallest_box
 from hydrojax.paper.records import reference
 from hydrojax.parameters import put
 from hydrojax.rigfile.build import build_loop
@@ -31,7 +31,7 @@ def fits(rng, count, mean, between, own):
     root, noise = np.linalg.cholesky(between), np.linalg.cholesky(own)
     for _ in range(count):
         theta = mean + root @ rng.normal(size=3) + noise @ rng.normal(size=3)
-        yield Stretch("log", 0.0, 2.0, theta, own)
+        yield FrictionStretch("log", 0.0, 2.0, theta, own)
 
 
 def test_the_box_holds_the_next_stretch_as_often_as_it_says():
@@ -55,7 +55,9 @@ def test_noise_alone_makes_no_wide_box():
     mean, own = np.array([900.0, 700.0, 50.0]), np.diag([400.0] * 3)
     still = list(fits(rng, 40, mean, 1e-6 * np.eye(3), own))
     box = smallest_box(NAMES, still, 0.95, WIDE)
-    naive = [Stretch(f.log, f.start, f.seconds, f.theta, 0 * own) for f in still]
+    naive = [
+        FrictionStretch(f.log, f.start, f.seconds, f.theta, 0 * own) for f in still
+    ]
     whole = smallest_box(NAMES, naive, 0.95, WIDE)
     wide, taken = box.upper - box.lower, whole.upper - whole.lower
     assert np.all(wide < 0.8 * taken) and np.median(wide / taken) < 0.6

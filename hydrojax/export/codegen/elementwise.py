@@ -11,7 +11,7 @@ from hydrojax.errors import InputError
 from hydrojax.export.codegen.graph import BOOL, DOUBLE, INT, Graph
 
 
-def kind_of(dtype: Any) -> str:
+def number_kind(dtype: Any) -> str:
     """The kind of number that an array's elements are."""
     if dtype == np.bool_:
         return BOOL

@@ -37,7 +37,7 @@ class Node(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Loop:
+class Repeat:
     """`count` rounds, or as many as `go` holds, of `carried` becoming `results`."""
 
     scope: int
@@ -102,7 +102,7 @@ class Graph:
         self.nodes += [Node("carried", (), k, None, scope) for k in kinds]
         go, results = body(list(carried))
         self._inside.pop()
-        loop = Loop(scope, tuple(carried), tuple(results), count, go)
+        loop = Repeat(scope, tuple(carried), tuple(results), count, go)
         at = len(self.nodes)
         self.nodes.append(Node("loop", tuple(starts), "", loop, self._inside[-1]))
         out = []

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from hydrojax import parameters, units
-from hydrojax.export.codegen.elementwise import kind_of
+from hydrojax.export.codegen.elementwise import number_kind
 from hydrojax.export.codegen.emit import Block, helpers
 from hydrojax.export.codegen.graph import PARAMETER, TICK, Graph
 from hydrojax.export.codegen.indexing import Ids
@@ -174,7 +174,7 @@ def code_of(machine: Machine) -> Code:
     all_three = both[0], list(memory.values()), both[1]
     later = _traced(graph, step, all_three, [*given, *state, *inputs])
     outputs = [
-        Field(called, says.get(n, ""), kind_of(outs[n].dtype), ids)
+        Field(called, says.get(n, ""), number_kind(outs[n].dtype), ids)
         for n, called, ids in zip(
             machine.outputs,
             identifiers(machine.outputs),
@@ -192,7 +192,7 @@ def _fields(
     out = []
     for name, called in zip(numbers, identifiers(list(numbers)), strict=True):
         array = numbers[name]
-        kind = kind_of(array.dtype)
+        kind = number_kind(array.dtype)
         ids = [
             graph.given(f"{owner}->{called}[{i}]", kind, zone)
             for i in range(int(np.prod(array.shape)))

@@ -10,7 +10,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from hydrojax.errors import InputError
-from hydrojax.export.codegen.elementwise import ELEMENTWISE, kind_of, select
+from hydrojax.export.codegen.elementwise import ELEMENTWISE, number_kind, select
 from hydrojax.export.codegen.graph import BOOL, INT, Graph
 from hydrojax.export.codegen.indexing import INDEXING, Ids, mapped
 
@@ -21,7 +21,7 @@ UNROLLED = 8
 def constants(graph: Graph, value: Any) -> Ids:
     """An array of numbers as nodes."""
     array = np.asarray(value)
-    flat = [graph.const(v, kind_of(array.dtype)) for v in array.ravel()]
+    flat = [graph.const(v, number_kind(array.dtype)) for v in array.ravel()]
     return np.array(flat, np.int64).reshape(array.shape)
 
 
@@ -72,7 +72,7 @@ def _equation(graph: Graph, eqn: Any, args: list[Ids]) -> list[Ids]:
         out = INDEXING[name](graph, params, args)
         return out if isinstance(out, list) else [out]
     if name in ELEMENTWISE:
-        kind = kind_of(eqn.outvars[0].aval.dtype)
+        kind = number_kind(eqn.outvars[0].aval.dtype)
         made = ELEMENTWISE[name](graph, params, kind)
         if made is not None:
             return [mapped(made, *np.broadcast_arrays(*args))]

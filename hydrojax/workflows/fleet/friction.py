@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.box import Box, Stretch, smallest_box
+from hydrojax.identify.estimation.box import Box, FrictionStretch, smallest_box
 from hydrojax.plant.friction import Theta
 from hydrojax.workflows.fleet.merged import FEW
 
@@ -70,7 +70,7 @@ def _identifies(record: dict[str, Any], name: str) -> bool:
     return bool(p and p["identified"]) and name in record["friction"]["ranges"]
 
 
-def _stretch(record: dict[str, Any], names: tuple[str, ...]) -> Stretch:
+def _stretch(record: dict[str, Any], names: tuple[str, ...]) -> FrictionStretch:
     """A fit's friction; what ended at its range's end has no spread of its own."""
     own = record["friction"]
     covariance = np.zeros((len(names), len(names)))
@@ -80,4 +80,4 @@ def _stretch(record: dict[str, Any], names: tuple[str, ...]) -> Stretch:
     if inside:
         covariance[np.ix_(to, to)] = np.array(own["covariance"])[np.ix_(at, at)]
     theta = np.array([record["parameters"][n]["value"] for n in names])
-    return Stretch("", 0.0, 0.0, theta, covariance)
+    return FrictionStretch("", 0.0, 0.0, theta, covariance)

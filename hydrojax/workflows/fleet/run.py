@@ -86,37 +86,38 @@ def run_fleet(
             that are not here.
         Stopped: Ctrl-C.
     """
-    options = options or Options()
+    options, store = options or Options(), Store(out)
     jobs = read_jobs(source, options.command)
-    store = Store(out)
     keys = keys_of(jobs, options)
     mark = _mark(jobs, keys)
     store.clear()
-    draw = None
-    if report:
-        draw = partial(_draw, store, keys, jobs, options.command, command_line)
+    drawn = partial(_draw, store, keys, jobs, options.command, command_line)
+    draw = drawn if report else None
     done, unread = 0, []
     for _ in range(2):  # again where results could not be read
         left = set(keys) - store.done()
         if left:
             tasks = _tasks(jobs, keys, left, options, out, solver)
-            done += _work(
-                tasks, len(left), len(set(keys)), out, workers, cluster, progress,
-                limits,
-            )  # fmt: skip
-        elif merged(store) == mark and ((out / "fleet.html").exists() or not report):
-            failures = _failures(out)
-            if failures is not None:
-                return Ran(len(jobs), done, failures, False)
+            size = (len(left), len(set(keys)))
+            given = (tasks, *size, out, workers, cluster, progress, limits)
+            done += _work(*given)
+        elif (failures := _known(store, mark, report)) is not None:
+            return Ran(len(jobs), done, failures, False)
         unread, failed = _merge(store, jobs, keys, mark, draw)
         if not unread:
             return Ran(len(jobs), done, failed, True)
-        for key in unread:  # a power cut can leave a file empty
-            store.drop(key)
+        store.drop(unread)  # a power cut can leave a file empty
     raise InputError(
         f"{out}: {len(unread)} results are not here after their jobs were done; give "
         "all workers this folder under the same path"
     )
+
+
+def _known(store: Store, mark: str, report: bool) -> int | None:
+    """How many jobs failed, where everything that is to be written stands there."""
+    if merged(store) != mark or (report and not (store.folder / "fleet.html").exists()):
+        return None
+    return _failures(store.folder)
 
 
 def _merge(

@@ -13,9 +13,10 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -70,9 +71,9 @@ class Store:
             return None
         return found if sound else None
 
-    def drop(self, key: str) -> None:
-        """Forget a result."""
-        for ending in (".json", AGAIN):
+    def drop(self, keys: Iterable[str]) -> None:
+        """Forget results."""
+        for key, ending in product(keys, (".json", AGAIN)):
             self._path(key, ending).unlink(missing_ok=True)
 
     def done(self) -> set[str]:
