@@ -66,7 +66,13 @@ FULL = 2**30
 """Bytes of the process from which the programs used longest ago go before another one
 is made: what that takes comes on top."""
 
+ROOM = 3 * 2**26
+"""Bytes by which the process may grow before they go again. Some four programs: where
+all else that it holds comes near `FULL`, a trace would take its programs from disk
+again and again."""
+
 _PROGRAMS: OrderedDict[Hashable, Callable[..., Any]] = OrderedDict()
+_LEFT = [0]  # what the process held when they last went
 _KEEPING = threading.Lock()
 
 
@@ -112,14 +118,17 @@ def program_of_pytrees(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _let_go_of_old() -> None:
-    """Half of the programs, where the process holds more than `FULL`."""
-    if resident(os.getpid()) < FULL:
+    """Half of the programs, where the process holds more than `FULL`, and `ROOM` more
+    than when they last went.
+    """
+    if resident(os.getpid()) < max(FULL, _LEFT[0] + ROOM):
         return
     with _KEEPING:
         for _ in range(len(_PROGRAMS) // 2):
             _PROGRAMS.popitem(last=False)
     gc.collect()
     return_freed_memory()
+    _LEFT[0] = resident(os.getpid())
 
 
 def _compiled(
