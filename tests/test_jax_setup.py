@@ -202,6 +202,7 @@ def test_programs_that_were_not_used_for_long_go_where_much_is_held(monkeypatch)
         return 2 * a
 
     monkeypatch.setattr(programs, "_PROGRAMS", OrderedDict())
+    monkeypatch.setattr(programs, "_LEFT", [0])
     monkeypatch.setattr(programs, "FULL", math.inf)
     for n in (1, 2, 3, 4, 1):
         double(np.ones(n))
@@ -213,6 +214,12 @@ def test_programs_that_were_not_used_for_long_go_where_much_is_held(monkeypatch)
     for n in (4, 1, 5, 2, 3):
         np.testing.assert_array_equal(double(np.ones(n)), np.full(n, 2.0))
     assert traced == [2, 3]
+    monkeypatch.setattr(programs, "FULL", 0)
+    monkeypatch.setattr(programs, "_LEFT", [2**40])  # what the process held last time
+    traced.clear()
+    for n in (6, 4, 1, 5, 2, 3):  # it has not grown since: none goes
+        double(np.ones(n))
+    assert traced == [6]
 
 
 @pytest.mark.slow

@@ -39,6 +39,7 @@ install_import_hook({list(rooms)!r}, "beartype.beartype")
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_run_a_fit_and_a_sweep_keep_the_shapes_of_their_signatures(cache_home):
     """One process does all three; its programs are kept between runs of the suite."""
     code = f"""

@@ -309,6 +309,7 @@ def test_a_group_that_is_done_is_not_run_again(tmp_path, monkeypatch, capsys):
 # -- the guard --
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(build_c.compiler() is None, reason="no C compiler")
 def test_a_batch_is_not_far_from_c():
     """Both in processes of their own, with the flags that the product sets."""

@@ -27,6 +27,8 @@ from hydrojax.plant.valve import metering_edges
 from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.schema import RigFile
 
+pytestmark = pytest.mark.slow
+
 H, SAMPLES, LANES = 1e-3, 2000, 19
 
 needs_c = pytest.mark.skipif(build_c.compiler() is None, reason="no C compiler")

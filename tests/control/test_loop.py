@@ -351,6 +351,7 @@ def test_a_payload_and_a_load_are_one_mass():
 PAYLOAD = ["payload_inertia.m"]
 
 
+@pytest.mark.slow
 def test_a_load_under_force_from_the_start_is_of_second_order():
     """F_d[0] is not 0: the mass is pushed from the first instant on."""
     F_d = desired() + 200.0
@@ -462,6 +463,7 @@ def test_a_loop_holds_as_much_command_as_its_delay_needs(tmp_path, delay):
     assert out[-1] == pytest.approx(ramp[-1] - 4000 * delay, abs=0.51)
 
 
+@pytest.mark.slow
 def test_effects_that_are_absent_change_nothing():
     """All of the vocabulary in one loop, each at zero."""
     spec, _ = reference()
@@ -646,6 +648,7 @@ def test_41_the_epsilons_are_the_plants(falls):
     assert np.allclose(left, right, rtol=1e-4, atol=1e-3 * np.max(np.abs(right)))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:a pressure left")
 def test_no_lower_supply_serves():
     """A little above it both pressures stay inside, a little below one leaves."""

@@ -60,6 +60,7 @@ def site(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_site_builds_without_a_warning(site):
     """Links, anchors, navigation and docstrings are all in order."""
     assert (site / "index.html").is_file()

@@ -695,6 +695,7 @@ def test_every_parameter_has_its_derivative(full, batch, columns, plain):
     assert not wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "some",
     [
@@ -749,6 +750,7 @@ def test_supply_errors_have_their_derivative(full, batch, columns):
         assert off(got, want * 9e3 / np.sqrt(len(block))) < 1e-4
 
 
+@pytest.mark.slow
 def test_first_readings_have_their_derivative(full, batch, columns):
     """By 100 Pa, and by a tenth of the slope's spread: what filters remembers them, and
     the pressures themselves do not know.

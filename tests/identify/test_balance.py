@@ -100,6 +100,7 @@ def test_the_missing_effect_stands_out(machine):
         assert best.values[at] == pytest.approx(value, rel=rel)
 
 
+@pytest.mark.slow
 def test_what_does_not_act_on_the_pressures_is_left_to_the_replay(machine):
     search = _balances(machine[1], machine[1].effects)
     assert search is not None
@@ -163,6 +164,7 @@ def test_halved_substeps_change_little(machine, monkeypatch):
     assert 0 < np.sqrt(np.mean((coarse - fine) ** 2)) < 9e3 / 4
 
 
+@pytest.mark.slow
 def test_lines_in_which_nothing_stands_are_left_out(machine):
     """The sums do not change by it; whatever stands in a line, or may, keeps it."""
     problem, free = machine[1].problem, machine[1].free
@@ -192,6 +194,7 @@ def test_lines_in_which_nothing_stands_are_left_out(machine):
     assert model.acting(held)[0].names == model.names
 
 
+@pytest.mark.slow
 def test_as_many_effects_as_there_are_find_room(machine):
     """A trace that adds effect upon effect never runs out of columns."""
     state = machine[1]

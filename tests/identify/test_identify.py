@@ -111,6 +111,7 @@ def test_the_truth_is_found(recorded, good):
             assert p.interval[0] < p.value < p.interval[1], name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 5])
 def test_the_truth_is_found_of_other_rigs(recorded, seed):
     outcome = api.identify(opened(recorded(seed)), starts=1)
@@ -251,6 +252,7 @@ def test_wrong_data_does_not_look_good(recorded, tmp_path, channels):
 # -- several starts --
 
 
+@pytest.mark.slow
 def test_a_poor_start_does_as_well_as_a_good_one(recorded, good, tmp_path):
     case = recorded(SEED)
     ends = generator.RANGES["c_p1"][1:]
@@ -710,6 +712,7 @@ def test_smoothing_is_scipys_spline(cut, jitter):
 # -- the sense of motion --
 
 
+@pytest.mark.slow
 def test_what_was_taken_for_a_supply_that_nothing_gives_is_said(recorded, tmp_path):
     case = recorded(SEED, {})
     said = summary._notes(opened(case))

@@ -99,6 +99,7 @@ def test_each_core_has_its_share_of_the_windows(monkeypatch, at_hand, real):
     assert len(calls) % at_hand == 0 or max(calls) == 1
 
 
+@pytest.mark.slow
 def test_fits_of_few_windows_run_the_program_of_all(leaking):
     """And come to what a program of their own gives."""
     problem = api._problems(leaking, [])[0]
@@ -127,6 +128,7 @@ def test_the_number_of_cores_changes_no_bit(leaking, monkeypatch):
         jax.tree.map(np.testing.assert_array_equal, other, found[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("piece", [96, 16, 1])
 def test_sums_that_more_is_compiled_around_are_cut_as_well(leaking, monkeypatch, piece):
     problem = api._problems(leaking, [])[0]
@@ -142,6 +144,7 @@ def test_sums_that_more_is_compiled_around_are_cut_as_well(leaking, monkeypatch,
     np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-11 * np.max(wanted))
 
 
+@pytest.mark.slow
 def test_what_friction_remembers_is_kept_of_the_log_s_motion_only(leaking):
     """Asked again under another force, a rod that gives remembers another motion."""
     problem = api._problems(leaking, ["rod_compliance"])[0]

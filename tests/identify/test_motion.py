@@ -197,6 +197,7 @@ def test_a_cylinder_is_predicted_from_its_command_alone():
     assert abs(windows / 160 - 1) > 0.2
 
 
+@pytest.mark.slow
 def test_a_run_is_that_of_scipy():
     """At the true values, in parts of a tick, within a micrometre and 0.2 %."""
     log = cylinder(3, 2.0)

@@ -116,6 +116,7 @@ def test_a_fit_finds_its_parameters(rig, logs):
     assert isinstance(found.model.valve, SharpEdges)
 
 
+@pytest.mark.slow
 def test_a_trace_misses_nothing(rig, logs):
     found = trace(rig, logs[:1], validate=logs[1:])
     assert found.verdict.startswith("nothing missing"), found.verdict

@@ -44,6 +44,7 @@ def recorded(seed: int, sign: float) -> pd.DataFrame:
     return pd.DataFrame({"time [s]": t, "x [m]": x, "F [N]": F})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_friction_and_mass_follow_from_motion_and_force(sign):
     """With a load cell that counts the other way the motion is inverted."""

@@ -93,6 +93,7 @@ def test_another_rig_compiles_nothing(traced, recorded, compiled):
 # -- what is named --
 
 
+@pytest.mark.slow
 def test_where_nothing_is_missing_nothing_is_named(traced):
     outcome = traced("none")
     assert outcome.verdict == "nothing missing"

@@ -281,6 +281,7 @@ def test_slope_of_the_bandwidth_is_its_difference(setting, known, states):
         assert float(rise) / (2 * step[i]) == pytest.approx(exact[i], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_free_mass_loses_the_band_near_18_hz():
     from dataclasses import replace
 

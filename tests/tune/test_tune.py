@@ -269,6 +269,7 @@ def test_the_proposal_holds_where_the_paper_s_gains_do_not(objective, proposal):
     assert was.figures(None)["oscillates"] is True
 
 
+@pytest.mark.slow
 def test_the_proposal_holds_in_a_second_simulator(objective, proposal):
     gains = proposal.after.gains
     lines, H = second_response(objective, gains, MIDDLE)

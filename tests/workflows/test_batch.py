@@ -261,6 +261,7 @@ def test_a_job_that_kills_its_worker_fails_alone(tmp_path):
     assert calls(tmp_path) == [1, 1, 3, 1, 1]
 
 
+@pytest.mark.slow
 def test_a_job_beyond_its_time_or_memory_fails_alone(tmp_path):
     logs = good(4)
     logs[1]["seconds"] = 600.0
@@ -350,6 +351,7 @@ def at_work(folder: Path) -> set[int]:
     return {int(w) for f in folder.glob("*.calls") for w in f.read_text().split()}
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_it_goes_on_and_gives_the_same_bytes(tmp_path):
     jobs, kills = 24, 4
     table = fleet(tmp_path, good(jobs, seconds=0.03))

@@ -116,6 +116,7 @@ def test_model_error_leaves_friction_and_stays_within_its_spread(loop_and_course
     assert np.all(np.ptp(factors, axis=0) > 0.15)  # spread over all of it
 
 
+@pytest.mark.slow
 def test_tracking_of_a_plant_is_its_run(loop_and_courses):
     """Against the same plant run by itself, its error taken by hand."""
     from hydrojax.control.loop import run
