@@ -46,6 +46,7 @@ def shown(recorded):
     return names
 
 
+@pytest.mark.slow
 def test_what_is_shown_runs(shown):
     out = shown["out"]
     assert out.verdict in ("explained", "nothing missing", "unknown")
@@ -62,6 +63,7 @@ def test_what_is_shown_runs(shown):
     assert set(shown["best"].gains) == {"k_p", "k_f"}
 
 
+@pytest.mark.slow
 def test_a_run_becomes_a_log(shown, tmp_path):
     log = shown["run"].to_log()
     assert isinstance(log, hj.Log)

@@ -96,6 +96,7 @@ def test_a_log_has_one_part_only(folder):
         open_case(folder / "rig.toml", [log], [path], [path])
 
 
+@pytest.mark.slow
 def test_criteria_decide(folder):
     """A channel is at its noise by the criterion that is given."""
     strict = Criteria(at_noise=0.5)

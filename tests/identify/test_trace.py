@@ -191,7 +191,9 @@ def test_what_no_catalogue_names_is_left_unknown_and_described(traced):
     assert left.description in outcome.sentence
 
 
-@pytest.mark.parametrize("name", ["none", "internal_leakage", *SLOW])
+@pytest.mark.parametrize(
+    "name", [pytest.param("none", marks=pytest.mark.slow), "internal_leakage", *SLOW]
+)
 def test_the_outcome_is_consistent_with_itself(traced, name):
     outcome = traced(name)
     catalogue = {c.name for c in outcome.candidates}

@@ -139,6 +139,7 @@ def test_few_states_are_all_of_them(setting, system, states, response):
     np.testing.assert_allclose(full, response(setting)[0], atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("F_0", [0.0, 300.0])
 def test_small_measured_is_linearised_within_2_percent(setting, known, response, F_0):
     s = change(

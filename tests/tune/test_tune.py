@@ -242,6 +242,7 @@ def test_live_eigenvalues_tell_which_runs_oscillate(objective):
     assert swing[0] > 500 and 0.6 * turn < peak < 1.1 * turn
 
 
+@pytest.mark.slow
 def test_the_loop_frozen_says_otherwise(objective):
     """What a linearisation without the adaptation promises of the worst of these."""
     rows = rows_of(objective, [(55.0, {"k_p": 0.48, "k_f": 0.96})])
@@ -256,6 +257,7 @@ def test_the_loop_frozen_says_otherwise(objective):
 # -- what is found and proposed --
 
 
+@pytest.mark.slow
 def test_the_proposal_holds_where_the_paper_s_gains_do_not(objective, proposal):
     """One of the plants limit-cycles with the paper's gains, joint moving."""
     was, now = proposal.before, proposal.after
@@ -291,6 +293,7 @@ def test_the_proposal_holds_in_a_second_simulator(objective, proposal):
         assert np.mean(own[lines <= most]) > 0.6
 
 
+@pytest.mark.slow
 def test_bad_gains_are_not_proposed(objective, proposal):
     """Four times the paper's feedback: unstable, and said so."""
     bad = objective.initial() * np.array([4, 4, *[1] * 9])
