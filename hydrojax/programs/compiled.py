@@ -67,9 +67,8 @@ FULL = 2**30
 is made: what that takes comes on top."""
 
 ROOM = 3 * 2**26
-"""Bytes by which the process may grow before they go again. Some four programs: where
-all else that it holds comes near `FULL`, a trace would take its programs from disk
-again and again."""
+"""Bytes by which the process may grow before they go again: where all else that it
+holds comes near `FULL`, a trace would take its programs from disk again and again."""
 
 _PROGRAMS: OrderedDict[Hashable, Callable[..., Any]] = OrderedDict()
 _LEFT = [0]  # what the process held when they last went
@@ -126,6 +125,11 @@ def _let_go_of_old() -> None:
     with _KEEPING:
         for _ in range(len(_PROGRAMS) // 2):
             _PROGRAMS.popitem(last=False)
+    _give_back()
+
+
+def _give_back() -> None:
+    """Give the system what programs that went took, and note what the process holds."""
     gc.collect()
     return_freed_memory()
     _LEFT[0] = resident(os.getpid())
@@ -189,8 +193,7 @@ def make_room(share: float = MAPPED, held: float = math.inf) -> bool:
 
     jax.clear_caches()
     _PROGRAMS.clear()
-    gc.collect()
-    return_freed_memory()
+    _give_back()
     return True
 
 
