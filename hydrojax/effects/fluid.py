@@ -84,11 +84,11 @@ class Counterbalance(LineEffect):
     residual_axis = "P_a1 + P_a2"
     k_1: Float[Array, ""] = param(
         "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss when open, chamber 1", strength=True,
-        size=2e13, grid=(3e10, 3e11, 3e12, 3e15),
+        size=2e13, grid=(3e11, 3e12, 3e15, 3e12, 0.0),
     )  # fmt: skip
     k_2: Float[Array, ""] = param(
         "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss when open, chamber 2", strength=True,
-        size=2e13, grid=(3e10, 3e11, 3e12, 3e15),
+        size=2e13, grid=(3e11, 3e12, 3e15, 0.0, 3e12),
     )  # fmt: skip
     P_set: Float[Array, ""] = param(
         "Pa", 1.5e7, 2e6, 4e7, "setting", grid=(8e6, 1.5e7, 2.5e7)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from itertools import repeat
+from itertools import chain, product, repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -43,12 +43,14 @@ class _Search(NamedTuple):
         evaluate: the sum of squares that rates them.
         here: that of the model as it stands, once its own parameters follow.
         effects: with the strengths from which each is tried, by effect.
+        steps: of the fits that follow, at most.
     """
 
     problem: Problem
     evaluate: Evaluate
     here: float
     effects: Mapping[str, Sequence[Mapping[str, float]]]
+    steps: int
 
 
 def from_afar(
@@ -77,7 +79,11 @@ def from_afar(
     whole = next(iter(scores.values())).left
     out = {}
     for search in filter(
-        None, (_balances(state, effects), _replays(state, effects, noise))
+        None,
+        (
+            _balances(state, effects, state.criteria.far_steps),
+            _replays(state, effects, noise),
+        ),
     ):
         for name, fits in _found(state, effects, search).items():
             gain = whole * (1 - min(f.left for f in fits) / search.here)
@@ -98,7 +104,8 @@ def together(state: Tracing, effects: Mapping[str, Effect]) -> Iterator[Tracing]
     own = state.criteria
     for _ in range(own.together):
         known = {a.name for a in state.added}
-        search = _balances(state, {n: e for n, e in effects.items() if n not in known})
+        rest = {n: e for n, e in effects.items() if n not in known}
+        search = _balances(state, rest, own.together_steps)
         if search is None:
             return
         found = _found(state, effects, search)
@@ -118,9 +125,33 @@ def together(state: Tracing, effects: Mapping[str, Effect]) -> Iterator[Tracing]
         yield state
 
 
-def _balances(state: Tracing, effects: Mapping[str, Effect]) -> _Search | None:
-    """Effects that act on the pressures, where these are measured."""
+def needed_by_balances(
+    state: Tracing, less: Tracing, rivals: Mapping[str, Effect]
+) -> bool:
+    """Whether the flow balances without an effect of `state`, and with any of its
+    `rivals` in its place, lack plainly more than with it. `less` is without it.
+
+    Never where it does not act on the pressures, or none is measured.
+    """
+    gone = [n for n in state.free if n not in less.free]
+    if len(state.problem.side(gone, True)) < len(gone):
+        return False
     own = state.criteria
+    search = _balances(less, rivals, own.far_steps)
+    if search is None:
+        return False
+    problem, evaluate = search.problem, search.evaluate
+    here = evaluate(state.point.values, state.free)
+    here = descend(problem, evaluate, here, state.free, own.far_steps)
+    fits = chain.from_iterable(_found(less, rivals, search).values())
+    left = min((f.left for f in fits), default=np.inf)
+    return left - here.left > own.plainly_lacks * (search.here - here.left)
+
+
+def _balances(
+    state: Tracing, effects: Mapping[str, Effect], steps: int
+) -> _Search | None:
+    """Effects that act on the pressures, where these are measured."""
     few = in_brief(state.problem)
     upstream = {
         name: [*shape_starts(e), *nonlocal_starts(e)]
@@ -132,8 +163,8 @@ def _balances(state: Tracing, effects: Mapping[str, Effect]) -> _Search | None:
 
     evaluate = partial(balance_at, few)
     at = evaluate(state.point.values, state.free)
-    here = descend(few, evaluate, at, state.free, own.far_steps).left
-    return _Search(few, evaluate, here, upstream)
+    here = descend(few, evaluate, at, state.free, steps).left
+    return _Search(few, evaluate, here, upstream, steps)
 
 
 def _replays(
@@ -165,19 +196,22 @@ def _replays(
         return Linear.of(few, values, columns, np.sum(gram, axis=0))
 
     here = evaluate(state.point.values, state.free).predicted(few)
-    return _Search(few, evaluate, here, grids)
+    return _Search(few, evaluate, here, grids, own.far_steps)
 
 
 def _found(
     state: Tracing, effects: Mapping[str, Effect], search: _Search
 ) -> dict[str, list[Linear]]:
-    """The best fits of each effect on a few windows, from the deepest minima of all."""
-    problem, evaluate, _, grids = search
+    """The best fits of each effect on a few windows, from the deepest minima of all.
+
+    A few steps from each; more, where the search asks for them, from the best of these.
+    """
+    problem, evaluate, _, grids, steps = search
     own, here = state.criteria, state.point.values
     added = {n for a in state.added for n in free_names(state.effects[a.name])}
     back = {n: problem.free[n].start for n in state.free if n not in added}
-    found = []
     with ThreadPoolExecutor(cores()) as pool:
+        found = []
         for name, grid in grids.items():
             free = (*state.free, *free_names(effects[name]))
             for base in (here, placed(problem, here, back)):
@@ -188,14 +222,30 @@ def _found(
                 (low,) = np.nonzero((left <= around[:-2]) & (left <= around[2:]))
                 best = sorted(low, key=lambda i: left[i])[: own.far_starts]
                 found += [(left[i], name, at[i], free) for i in best]
+        found.sort(key=lambda f: f[0])
+        chosen: dict[str, list] = {}
+        for _, name, at, free in found:
+            if len(chosen.get(name, ())) < own.far_starts and (
+                name in chosen or len(chosen) < own.far_fits
+            ):
+                chosen.setdefault(name, []).append((at, free))
+
+        def fitted(steps, of):
+            name, at, free = of
+            return name, descend(problem, evaluate, at, free, steps), free
+
+        starts = [
+            (name, *each) for name, each_start in chosen.items() for each in each_start
+        ]
+        few = min(steps, own.far_steps)
+        fits = list(pool.map(partial(fitted, few), starts))
+        if steps > few:
+            fits.sort(key=lambda f: f[1].left)
+            longer = fits[: own.far_longer]
+            fits[: own.far_longer] = pool.map(partial(fitted, steps - few), longer)
     out: dict[str, list[Linear]] = {}
-    found.sort(key=lambda f: f[0])
-    for _, name, at, free in found:
-        if len(out.get(name, ())) < own.far_starts and (
-            name in out or len(out) < own.far_fits
-        ):
-            done = descend(problem, evaluate, at, free, own.far_steps)
-            out.setdefault(name, []).append(done)
+    for name, fit, _ in fits:
+        out.setdefault(name, []).append(fit)
     return out
 
 
@@ -216,9 +266,10 @@ def _accounted(state: Tracing, scores: Mapping[str, Score], noise: np.ndarray) -
 
 def nonlocal_starts(effect: Effect) -> list[dict[str, float]]:
     """Strengths at which an effect is tried as it stands, along its grid: what it does
-    there is not predicted by its derivative at zero.
+    there is not predicted by its derivative at zero. Each with every shape of its grid.
     """
-    return _along(effect, [f for f, s in specs(effect).items() if s.strength])
+    strengths = _along(effect, [f for f, s in specs(effect).items() if s.strength])
+    return [a | b for a, b in product(strengths, shape_starts(effect))]
 
 
 def shape_starts(effect: Effect) -> list[dict[str, float]]:

@@ -59,14 +59,20 @@ class Criteria:
     far_steps: int = 5
     """Steps of these fits, count: they rank the starts and need not end. As
     `far_starts`."""
+    far_longer: int = 4
+    """Such fits, the best of all, that are given more steps where several effects are
+    sought at once, count: time."""
     balance_ticks: int = 8000
     """Ticks whose flow balances are fitted to look for starts, count: in windows
     spread over the logs: time against information."""
     much: float = 2.0
-    """RMS of a pressure over its noise that effects found one by one have to leave for
-    several to be tried together, 1: time. `benchmarks.recorded` (machine 06)."""
-    together: int = 6
+    """RMS of a pressure over its noise that the first effect has to leave for several
+    to be tried together, 1: time. `benchmarks.recorded` (machine 06)."""
+    together: int = 9
     """Effects that are tried together, count: time."""
+    together_steps: int = 20
+    """Steps of their fits, count: a counterbalance valve takes half of what the
+    balances lack, but after 20. `benchmarks.recorded` (machine 06)."""
     wanted: float = 0.02
     """Share of what the flow balances lack that the next of them has to take away, 1:
     a dead band of 5 % takes 4 % where a lag and air are missing too
@@ -78,6 +84,9 @@ class Criteria:
     """Rise of chi-square that the sums predict without an effect that was added, over
     that of a change that matters, from which the fit is not tried without it, 1: time.
     `benchmarks.trace`."""
+    plainly_lacks: float = 0.5
+    """Share of what the flow balances lack without an effect that they lack with its
+    best rival still, from which that is not tried in its place, 1: time."""
     rival: float = 0.7
     """Gain from which a candidate is tried in the place of an effect that was added,
     over that effect's own gain there, 1: a score is linear, and misjudges that much."""

@@ -8,6 +8,7 @@ from scipy import stats
 
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
@@ -116,3 +117,18 @@ def worse(
     seen = np.isfinite(noise)
     d = np.sum((a - b)[:, seen] / noise[seen] ** 2, axis=1)
     return bool(d.mean() > by * d.std(ddof=1) / np.sqrt(len(d)))
+
+
+def better(
+    a: Float[np.ndarray, "windows 3"],
+    b: Float[np.ndarray, "windows 3"],
+    noise: Float[np.ndarray, "3"],
+    criteria: Criteria,
+) -> bool:
+    """Whether errors `a` are smaller than `b`, beyond chance in their sum over the
+    channels or in most windows.
+    """
+    seen = np.isfinite(noise)
+    each = [np.sum(e[:, seen] / noise[seen] ** 2, axis=1)[:, None] for e in (b, a)]
+    sure = _falls(*each)[0] > criteria.beyond_chance
+    return bool(sure and cost(a, noise) < cost(b, noise))

@@ -11,7 +11,14 @@ import numpy as np
 from hydrojax.identify.estimation.fit import FitPoint, fit_force, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.afar import together
-from hydrojax.identify.tracing.judge import chance, cost, judge, negligible, worse
+from hydrojax.identify.tracing.judge import (
+    better,
+    chance,
+    cost,
+    judge,
+    negligible,
+    worse,
+)
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.rivals import exchanged, pruned, with_look_alikes
 from hydrojax.identify.tracing.score import Score, family, worth_a_refit
@@ -41,18 +48,30 @@ def search_effects(state: Tracing) -> Tracing:
 
 
 def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
-    """Effects one by one; where that leaves much, several at once, from the start."""
-    found = _rounds(state, effects, noise)
-    own = state.criteria
-    if not np.any((found.check.rms(_errors(found)) > own.much * noise)[PRESSURES]):
-        return found
-    several = _several(state, effects, noise)
-    one_by_one, at_once = _errors(found), _errors(several)
-    if len(several.added) < len(state.added) + 2 or not worse(
-        one_by_one, at_once, noise, own.beyond_chance
-    ):
-        return found
-    return _rounds(pruned(several, noise, fresh=0), effects, noise)
+    """Effects one by one; where the first leaves much, several at once too, from the
+    start: the search goes on from what is nearer to the logs, and from the other where
+    much is left again.
+    """
+    first = _scored_round(state, effects, noise)
+    begun = [first]
+    if _leaves_much(first, noise):
+        several = pruned(_several(state, effects, noise), noise, fresh=0)
+        if len(several.added) >= len(state.added) + 2:
+            nearer = better(_errors(several), _errors(first), noise, state.criteria)
+            begun.insert(0 if nearer else 1, several)
+    best = None
+    for begin in begun:
+        found = _rounds(begin, effects, noise) if begin.added else begin
+        if best is None or better(_errors(found), _errors(best), noise, state.criteria):
+            best = found
+        if not _leaves_much(best, noise):
+            break
+    return best
+
+
+def _leaves_much(state: Tracing, noise: np.ndarray) -> bool:
+    rms = state.check.rms(_errors(state))
+    return bool(np.any((rms > state.criteria.much * noise)[PRESSURES]))
 
 
 def _rounds(
@@ -90,28 +109,41 @@ def _errors(state: Tracing) -> np.ndarray:
 def _several(
     state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
 ) -> Tracing:
-    """Add those effects that help together, if any do, though none may alone."""
-    check = state.check
-    before = _errors(state)
-    path, last, best, least = state.added, before, state, before
+    """Add the effects that the flow balances want together, as many as help; none of
+    them may help alone. What each does is told by the balances' fits, which only the
+    last set's is more than.
+    """
+    check, before = state.check, _errors(state)
+    sets, steps = [], [check.rms(before)]
     for there in together(state, effects):
-        name = there.added[-1].name
-        state.progress(f"refit with {name} and what the flow balances want with it")
+        state.progress(f"the flow balances want {there.added[-1].name}")
+        sets.append(there)
+        rms = check.rms(_errors(there))
+        steps.append(np.where(np.isfinite(rms), rms, steps[-1]))
+    for there in reversed(sets):
+        names = [a.name for a in there.added[len(state.added) :]]
+        state.progress(f"refit with {', '.join(names)}")
         problem, point = fit_from(there, there.point.values, there.free, noise)
         after = check.errors_at(point.values)
-        ways = comb(len(state.effects), len(there.added) - len(state.added))
+        if judge(state, before, after, noise) != "helps":
+            continue
+        ways = comb(len(state.effects), len(names))
         p_value = min(ways * chance(before, after, noise), 1.0)
-        path = (*path, Added(name, p_value, check.rms(last), check.rms(after), ()))
-        helps = judge(state, before, after, noise) == "helps"
-        if helps and cost(after, noise) < cost(least, noise):
-            least = after
-            best = replace(
-                there, problem=problem, point=point, added=path, tried=state.tried
-            )
-        last = after
-    for a in best.added[len(state.added) :]:
-        state.progress(f"added {a.name}")
-    return best
+        steps[len(names)] = check.rms(after)
+        added = tuple(
+            Added(name, p_value, steps[i], steps[i + 1], ())
+            for i, name in enumerate(names)
+        )
+        for name in names:
+            state.progress(f"added {name}")
+        return replace(
+            there,
+            problem=problem,
+            point=point,
+            added=(*state.added, *added),
+            tried=state.tried,
+        )
+    return state
 
 
 def _round(

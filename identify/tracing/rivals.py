@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from hydrojax.identify.tracing.afar import needed_by_balances
 from hydrojax.identify.tracing.judge import worse, worsened
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection
@@ -44,7 +45,8 @@ def exchanged(
 ) -> Tracing:
     """The state, or with rivals in the place of effects that they do better than; where
     all is at its noise already none is tried. Nor is the last effect questioned, if a
-    round added it: it was compared there with all others present.
+    round added it: it was compared there with all others present; nor one that no other
+    takes the place of in the flow balances, which are fitted in a moment.
     """
     names = [a.name for a in state.added]
     if names and state.tried.get(names[-1]) == "helps":
@@ -55,6 +57,8 @@ def exchanged(
             break
         known = {a.name for a in state.added}
         rivals = {n: e for n, e in effects.items() if n not in known}
+        if needed_by_balances(state, _taken_out(state, name), rivals):
+            continue
         less = without(state, name, noise)
         state = _exchanged(state, less, name, rivals, noise)
     return state
@@ -66,16 +70,23 @@ def _rms(state: Tracing) -> Float[np.ndarray, "3"]:
 
 def without(state: Tracing, name: str, noise: Float[np.ndarray, "3"]) -> Tracing:
     """The state with one effect taken out and the rest fitted again."""
+    less = _taken_out(state, name)
+    state.progress(f"refit without {name}")
+    problem, point = fit_from(less, less.point.values, less.free, noise)
+    return replace(less, problem=problem, point=point)
+
+
+def _taken_out(state: Tracing, name: str) -> Tracing:
+    """The state with one effect's strengths at zero and nothing of it free."""
     effect = state.effects[name]
     own = set(free_names(effect))
     free = tuple(n for n in state.free if n not in own)
     values = state.point.values.copy()
     for n in strengths(effect):
         values[state.problem.model.names.index(n)] = 0.0
-    state.progress(f"refit without {name}")
-    problem, point = fit_from(state, values, free, noise)
     added = tuple(a for a in state.added if a.name != name)
-    return replace(state, problem=problem, point=point, free=free, added=added)
+    point = replace(state.point, values=values)
+    return replace(state, point=point, free=free, added=added)
 
 
 def _exchanged(
