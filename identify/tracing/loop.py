@@ -48,47 +48,41 @@ def search_effects(state: Tracing) -> Tracing:
 
 
 def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
-    """Effects one by one; where the first leaves much, several at once too, from the
-    start: the search goes on from what is nearer to the logs, and from the other where
-    much is left again.
-    """
-    first = _scored_round(state, effects, noise)
-    begun = [first]
-    if _leaves_much(first, noise):
-        several = pruned(_several(state, effects, noise), noise, fresh=0)
-        if len(several.added) >= len(state.added) + 2:
-            nearer = better(_errors(several), _errors(first), noise, state.criteria)
-            begun.insert(0 if nearer else 1, several)
-    best = None
-    for begin in begun:
-        found = _rounds(begin, effects, noise) if begin.added else begin
-        if best is None or better(_errors(found), _errors(best), noise, state.criteria):
-            best = found
-        if not _leaves_much(best, noise):
-            break
-    return best
-
-
-def _leaves_much(state: Tracing, noise: np.ndarray) -> bool:
-    rms = state.check.rms(_errors(state))
-    return bool(np.any((rms > state.criteria.much * noise)[PRESSURES]))
-
-
-def _rounds(
-    state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
-) -> Tracing:
     """Effects one by one, until none is left that helps, nor does better than one that
-    was added while others were still missing.
+    was added while others were still missing. In place of the first several at once
+    may be added.
     """
-    for left in reversed(range(state.criteria.rounds + 1)):
+    rounds = state.criteria.rounds
+    for left in reversed(range(rounds + 1)):
         more = _scored_round(state, effects, noise) if left else state
-        if len(more.added) > len(state.added):
-            state = pruned(more, noise)
+        if left == rounds:
+            more = _or_several(state, more, effects, noise)
+        new = len(more.added) - len(state.added)
+        if new > 0:
+            # What was found at once was not compared with all others present.
+            state = pruned(more, noise, fresh=1 if new == 1 else 0)
             continue
         state = exchanged(more, effects, noise)
         if state is more:
             break
     return state
+
+
+def _or_several(
+    state: Tracing, one: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
+) -> Tracing:
+    """`state` with one effect more; or, where that leaves much of the pressures, with
+    several that the flow balances want together, if these leave less.
+    """
+    if np.isfinite(noise[2]):
+        return one  # the pressures by themselves come first
+    left = _errors(one)
+    if not np.any((one.check.rms(left) > state.criteria.much * noise)[PRESSURES]):
+        return one
+    several = _several(state, effects, noise)
+    if len(several.added) < len(state.added) + 2:
+        return one
+    return several if better(_errors(several), left, noise, state.criteria) else one
 
 
 def _scored_round(
@@ -109,9 +103,9 @@ def _errors(state: Tracing) -> np.ndarray:
 def _several(
     state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
 ) -> Tracing:
-    """Add the effects that the flow balances want together, as many as help; none of
-    them may help alone. What each does is told by the balances' fits, which only the
-    last set's is more than.
+    """Add two effects or more that the flow balances want together, as many as help;
+    none of them may help alone. The error after each but the last is that of the
+    balances' own fit.
     """
     check, before = state.check, _errors(state)
     sets, steps = [], [check.rms(before)]
@@ -120,7 +114,7 @@ def _several(
         sets.append(there)
         rms = check.rms(_errors(there))
         steps.append(np.where(np.isfinite(rms), rms, steps[-1]))
-    for there in reversed(sets):
+    for there in reversed(sets[1:]):
         names = [a.name for a in there.added[len(state.added) :]]
         state.progress(f"refit with {', '.join(names)}")
         problem, point = fit_from(there, there.point.values, there.free, noise)

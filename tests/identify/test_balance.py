@@ -32,8 +32,14 @@ from hydrojax.identify.estimation.sensitivity import memory_along
 from hydrojax.identify.preparation import data as preparation
 from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs
-from hydrojax.identify.tracing.afar import _balances, _found, together
+from hydrojax.identify.tracing.afar import (
+    _balances,
+    _found,
+    needed_by_balances,
+    together,
+)
 from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.identify.tracing.rivals import _taken_out
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log
 from hydrojax.parameters import specs
@@ -87,7 +93,7 @@ def test_the_missing_effect_stands_out(machine):
     """
     name, state = machine
     wanted, values = MACHINES[name]
-    search = _balances(state, state.effects)
+    search = _balances(state, state.effects, Criteria().far_steps)
     assert search is not None
     found = _found(state, state.effects, search)
     left = {n: min(f.left for f in fits) for n, fits in found.items()}
@@ -102,7 +108,7 @@ def test_the_missing_effect_stands_out(machine):
 
 @pytest.mark.slow
 def test_what_does_not_act_on_the_pressures_is_left_to_the_replay(machine):
-    search = _balances(machine[1], machine[1].effects)
+    search = _balances(machine[1], machine[1].effects, 0)
     assert search is not None
     assert "pressure_sensor_lag" in machine[1].effects
     assert "pressure_sensor_lag" not in search.effects
@@ -221,13 +227,25 @@ def test_columns_of_forces_stay_few_where_none_is_compared(machine):
 
 @pytest.mark.slow
 def test_effects_that_are_missing_together_are_told_apart_one_by_one():
-    """Of nine the first four, none of which helps a replay without the others."""
+    """Of nine the first five, none of which helps a replay without the others; and what
+    none can take the place of is known by the balances.
+    """
     folder = DATA / "machine_06"
     if not folder.exists():
         pytest.skip("the machines' logs are not here")
     state = state_of(folder)
-    sets = [there.added for there in islice(together(state, state.effects), 4)]
+    found = list(islice(together(state, state.effects), 5))
+    sets = [there.added for there in found]
     truth = set(tomllib.loads((folder / "rig_declared.toml").read_text())["effects"])
-    assert [len(names) for names in sets] == [1, 2, 3, 4]
+    assert [len(names) for names in sets] == [1, 2, 3, 4, 5]
     assert {a.name for a in sets[-1]} <= truth
+    assert sets[-1][-1].name == "counterbalance"  # and not after a few steps already
     assert truth.isdisjoint(RigFile.load(folder / "rig.toml").effects)
+    known = {a.name for a in sets[-1]}
+    rivals = {n: e for n, e in state.effects.items() if n not in known}
+    less = _taken_out(found[-1], "signal_filter")
+    assert needed_by_balances(found[-1], less, rivals)
+    rivals["signal_filter"] = state.effects[
+        "signal_filter"
+    ]  # which does as well itself
+    assert not needed_by_balances(found[-1], less, rivals)

@@ -15,6 +15,8 @@ import pytest
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
 from hydrojax.identify.estimation.fit import fit_all
+from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.identify.tracing.judge import better
 from hydrojax.identify.tracing.rivals import exchanged, pruned
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
 
@@ -73,3 +75,18 @@ def test_the_needless_one_of_two_is_let_go_and_the_other_not_even_tried(leaking,
 def test_the_last_one_is_not_questioned(leaking):
     both = leaking(TRUE, WRONG)
     assert pruned(both, both.noise) is both
+
+
+@pytest.mark.parametrize(
+    "falls, rise, sure",
+    [(0.1, 0.0, True), (0.1, 3.0, True), (0.1, 30.0, False), (0.0, 0.0, False)],
+)
+def test_what_is_better_in_nearly_every_window_is_better(falls, rise, sure):
+    """Though one window that is worse takes most of what the others gain; not all."""
+    rng = np.random.default_rng(3)
+    before = np.abs(rng.normal(1.0, 0.05, (100, 3)))
+    after = before * (1 - falls) * rng.normal(1.0, 0.01, before.shape)
+    after[7, 0] += rise
+    noise = np.array([0.1, 0.1, np.inf])
+    assert better(after, before, noise, Criteria()) is sure
+    assert not better(before, after, noise, Criteria())
