@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from itertools import chain, product, repeat
+from itertools import product, repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -125,27 +125,32 @@ def together(state: Tracing, effects: Mapping[str, Effect]) -> Iterator[Tracing]
         yield state
 
 
-def needed_by_balances(
+def near_in_balances(
     state: Tracing, less: Tracing, rivals: Mapping[str, Effect]
-) -> bool:
-    """Whether the flow balances without an effect of `state`, and with any of its
-    `rivals` in its place, lack plainly more than with it. `less` is without it.
+) -> list[tuple[str, Values]] | None:
+    """Which `rivals` of the effect that `less` lacks come near it in the flow balances,
+    each with the values from which it may be fitted, the nearest first.
 
-    Never where it does not act on the pressures, or none is measured.
+    Returns:
+        None where the effect does not act on the pressures, or none is measured.
     """
     gone = [n for n in state.free if n not in less.free]
     if len(state.problem.side(gone, True)) < len(gone):
-        return False
+        return None
     own = state.criteria
     search = _balances(less, rivals, own.far_steps)
     if search is None:
-        return False
+        return None
     problem, evaluate = search.problem, search.evaluate
     here = evaluate(state.point.values, state.free)
     here = descend(problem, evaluate, here, state.free, own.far_steps)
-    fits = chain.from_iterable(_found(less, rivals, search).values())
-    left = min((f.left for f in fits), default=np.inf)
-    return left - here.left > own.plainly_lacks * (search.here - here.left)
+    best = {
+        name: min(fits, key=lambda f: f.left)
+        for name, fits in _found(less, rivals, search).items()
+    }
+    enough = here.left + own.plainly_lacks * (search.here - here.left)
+    order = sorted(best, key=lambda n: best[n].left)
+    return [(n, best[n].values) for n in order if best[n].left < enough]
 
 
 def _balances(

@@ -66,8 +66,8 @@ class Criteria:
     """Ticks whose flow balances are fitted to look for starts, count: in windows
     spread over the logs: time against information."""
     much: float = 2.0
-    """RMS of a pressure over its noise that the first effect has to leave for several
-    to be tried together, 1: time. `benchmarks.recorded` (machine 06)."""
+    """RMS of a pressure over its noise that the first two effects have to leave for
+    several to be tried together, 1: time. `benchmarks.recorded` (machine 06)."""
     together: int = 9
     """Effects that are tried together, count: time."""
     together_steps: int = 20
@@ -85,8 +85,8 @@ class Criteria:
     that of a change that matters, from which the fit is not tried without it, 1: time.
     `benchmarks.trace`."""
     plainly_lacks: float = 0.5
-    """Share of what the flow balances lack without an effect that they lack with its
-    best rival still, from which that is not tried in its place, 1: time."""
+    """Share of what the flow balances lack without an effect that they lack with a
+    rival still, from which that is not tried in its place, 1: time."""
     rival: float = 0.7
     """Gain from which a candidate is tried in the place of an effect that was added,
     over that effect's own gain there, 1: a score is linear, and misjudges that much."""

@@ -49,18 +49,21 @@ def search_effects(state: Tracing) -> Tracing:
 
 def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
     """Effects one by one, until none is left that helps, nor does better than one that
-    was added while others were still missing. In place of the first several at once
-    may be added.
+    was added while others were still missing. Several at once take the place of the
+    first two.
     """
-    rounds = state.criteria.rounds
+    begun, rounds = state, state.criteria.rounds
     for left in reversed(range(rounds + 1)):
         more = _scored_round(state, effects, noise) if left else state
-        if left == rounds:
-            more = _or_several(state, more, effects, noise)
-        new = len(more.added) - len(state.added)
-        if new > 0:
-            # What was found at once was not compared with all others present.
-            state = pruned(more, noise, fresh=1 if new == 1 else 0)
+        added = len(more.added) > len(state.added)
+        if left == rounds - 1 or (left == rounds and not added):
+            several = _or_several(begun, more, effects, noise)
+            if several is not more:
+                # Each was chosen before the others were there.
+                state = pruned(several, noise, fresh=0)
+                continue
+        if added:
+            state = pruned(more, noise)
             continue
         state = exchanged(more, effects, noise)
         if state is more:
@@ -69,20 +72,20 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
 
 
 def _or_several(
-    state: Tracing, one: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
+    begun: Tracing, found: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
 ) -> Tracing:
-    """`state` with one effect more; or, where that leaves much of the pressures, with
-    several that the flow balances want together, if these leave less.
+    """What was found one by one; or, where that leaves much of the pressures, several
+    that the flow balances want together from where it began, if these leave less.
     """
     if np.isfinite(noise[2]):
-        return one  # the pressures by themselves come first
-    left = _errors(one)
-    if not np.any((one.check.rms(left) > state.criteria.much * noise)[PRESSURES]):
-        return one
-    several = _several(state, effects, noise)
-    if len(several.added) < len(state.added) + 2:
-        return one
-    return several if better(_errors(several), left, noise, state.criteria) else one
+        return found  # the pressures by themselves come first
+    left = _errors(found)
+    if not np.any((found.check.rms(left) > found.criteria.much * noise)[PRESSURES]):
+        return found
+    several = _several(begun, effects, noise)
+    if len(several.added) < len(begun.added) + 2:
+        return found
+    return several if better(_errors(several), left, noise, found.criteria) else found
 
 
 def _scored_round(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.tracing.afar import needed_by_balances
+from hydrojax.identify.estimation.fit import FitPoint
+from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.tracing.afar import near_in_balances
 from hydrojax.identify.tracing.judge import worse, worsened
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection
@@ -57,10 +59,7 @@ def exchanged(
             break
         known = {a.name for a in state.added}
         rivals = {n: e for n, e in effects.items() if n not in known}
-        if needed_by_balances(state, _taken_out(state, name), rivals):
-            continue
-        less = without(state, name, noise)
-        state = _exchanged(state, less, name, rivals, noise)
+        state = _exchanged(state, name, rivals, noise)
     return state
 
 
@@ -91,47 +90,66 @@ def _taken_out(state: Tracing, name: str) -> Tracing:
 
 def _exchanged(
     state: Tracing,
-    less: Tracing,
     name: str,
     rivals: Mapping[str, Effect],
     noise: Float[np.ndarray, "3"],
 ) -> Tracing:
-    """The state, or with a rival in an effect's place: the one of the largest gain
-    that has a smaller validation error beyond chance. `less` lacks the effect.
+    """The state, or with a rival in an effect's place, the first of them that has a
+    smaller validation error beyond chance.
     """
-    criteria = state.criteria
-    scores = scores_of(less, {**rivals, name: state.effects[name]}, noise)
-    order = sorted(scores.values(), key=lambda s: -s.gain)
-    enough = max(criteria.rival * scores[name].gain, 0.0)
-    best = [s for s in order if s.name != name and s.gain > enough]
     own = state.check.errors_at(state.point.values)
-    for s in best[: criteria.rivals]:
-        less.progress(f"refit with {s.name} in place of {name}")
-        problem, point = refit(less, rivals[s.name], s, noise)
-        after = less.check.errors_at(point.values)
-        if not worse(own, after, noise, criteria.beyond_chance):
+    for rival, problem, point in _in_place_of(state, name, rivals, noise):
+        after = state.check.errors_at(point.values)
+        if not worse(own, after, noise, state.criteria.beyond_chance):
             continue
         if worsened(state, own, after, noise):
             continue
-        state.progress(f"{s.name} takes the place of {name}")
+        state.progress(f"{rival} takes the place of {name}")
         rms = state.check.rms
         added = tuple(
-            replace(a, name=s.name, after=rms(after), cannot_tell_from=())
+            replace(a, name=rival, after=rms(after), cannot_tell_from=())
             if a.name == name
             else a
             for a in state.added
         )
-        free = (*less.free, *free_names(rivals[s.name]))
-        state = replace(
+        free = (*_taken_out(state, name).free, *free_names(rivals[rival]))
+        return replace(
             state,
             problem=problem,
             point=point,
             free=free,
             added=added,
-            tried={**state.tried, name: "exchanged", s.name: "helps"},
+            tried={**state.tried, name: "exchanged", rival: "helps"},
         )
-        break
     return state
+
+
+def _in_place_of(
+    state: Tracing,
+    name: str,
+    rivals: Mapping[str, Effect],
+    noise: Float[np.ndarray, "3"],
+) -> Iterator[tuple[str, Problem, FitPoint]]:
+    """The few most likely rivals, each fitted in an effect's place: from where the flow
+    balances put them, which takes a moment, or by scores where these do not show them.
+    """
+    criteria = state.criteria
+    less = _taken_out(state, name)
+    near = near_in_balances(state, less, rivals)
+    if near is not None:
+        for rival, values in near[: criteria.rivals]:
+            state.progress(f"refit with {rival} in place of {name}")
+            free = (*less.free, *free_names(rivals[rival]))
+            yield rival, *fit_from(less, values, free, noise)
+        return
+    less = without(state, name, noise)
+    scores = scores_of(less, {**rivals, name: state.effects[name]}, noise)
+    order = sorted(scores.values(), key=lambda s: -s.gain)
+    enough = max(criteria.rival * scores[name].gain, 0.0)
+    best = [s for s in order if s.name != name and s.gain > enough]
+    for s in best[: criteria.rivals]:
+        state.progress(f"refit with {s.name} in place of {name}")
+        yield s.name, *refit(less, rivals[s.name], s, noise)
 
 
 def with_look_alikes(state: Tracing) -> Tracing:

@@ -35,7 +35,7 @@ from hydrojax.identify.preparation.data import prepare_logs
 from hydrojax.identify.tracing.afar import (
     _balances,
     _found,
-    needed_by_balances,
+    near_in_balances,
     together,
 )
 from hydrojax.identify.tracing.criteria import Criteria
@@ -244,8 +244,9 @@ def test_effects_that_are_missing_together_are_told_apart_one_by_one():
     known = {a.name for a in sets[-1]}
     rivals = {n: e for n, e in state.effects.items() if n not in known}
     less = _taken_out(found[-1], "signal_filter")
-    assert needed_by_balances(found[-1], less, rivals)
+    assert near_in_balances(found[-1], less, rivals) == []
     rivals["signal_filter"] = state.effects[
         "signal_filter"
     ]  # which does as well itself
-    assert not needed_by_balances(found[-1], less, rivals)
+    near = near_in_balances(found[-1], less, rivals)
+    assert near and [name for name, _ in near] == ["signal_filter"]
