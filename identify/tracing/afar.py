@@ -43,6 +43,7 @@ class _Search(NamedTuple):
         evaluate: the sum of squares that rates them.
         here: that of the model as it stands, once its own parameters follow.
         effects: with the strengths from which each is tried, by effect.
+        begin: values that all else has then.
         steps: of the fits that follow, at most.
     """
 
@@ -50,6 +51,7 @@ class _Search(NamedTuple):
     evaluate: Evaluate
     here: float
     effects: Mapping[str, Sequence[Mapping[str, float]]]
+    begin: Sequence[Values]
     steps: int
 
 
@@ -102,12 +104,14 @@ def together(state: Tracing, effects: Mapping[str, Effect]) -> Iterator[Tracing]
         The state with the set among what is free and added, at the values to fit from.
     """
     own = state.criteria
-    for _ in range(own.together):
+    for sought in range(own.together):
         known = {a.name for a in state.added}
         rest = {n: e for n, e in effects.items() if n not in known}
         search = _balances(state, rest, own.together_steps)
         if search is None:
             return
+        if sought:  # the rig's own parameters came along with what was found
+            search = search._replace(begin=search.begin[:1])
         found = _found(state, effects, search)
         fits = [(name, fit) for name, own_fits in found.items() for fit in own_fits]
         if not fits:
@@ -169,7 +173,7 @@ def _balances(
     evaluate = partial(balance_at, few)
     at = evaluate(state.point.values, state.free)
     here = descend(few, evaluate, at, state.free, steps).left
-    return _Search(few, evaluate, here, upstream, steps)
+    return _Search(few, evaluate, here, upstream, _bases(state), steps)
 
 
 def _replays(
@@ -201,7 +205,15 @@ def _replays(
         return Linear.of(few, values, columns, np.sum(gram, axis=0))
 
     here = evaluate(state.point.values, state.free).predicted(few)
-    return _Search(few, evaluate, here, grids, own.far_steps)
+    return _Search(few, evaluate, here, grids, _bases(state), own.far_steps)
+
+
+def _bases(state: Tracing) -> tuple[Values, Values]:
+    """The values as they stand, and with the rig's own parameters at their starts."""
+    added = {n for a in state.added for n in free_names(state.effects[a.name])}
+    back = {n: state.problem.free[n].start for n in state.free if n not in added}
+    here = state.point.values
+    return here, placed(state.problem, here, back)
 
 
 def _found(
@@ -211,15 +223,13 @@ def _found(
 
     A few steps from each; more, where the search asks for them, from the best of these.
     """
-    problem, evaluate, _, grids, steps = search
-    own, here = state.criteria, state.point.values
-    added = {n for a in state.added for n in free_names(state.effects[a.name])}
-    back = {n: problem.free[n].start for n in state.free if n not in added}
+    problem, evaluate, _, grids, begin, steps = search
+    own = state.criteria
     with ThreadPoolExecutor(cores()) as pool:
         found = []
         for name, grid in grids.items():
             free = (*state.free, *free_names(effects[name]))
-            for base in (here, placed(problem, here, back)):
+            for base in begin:
                 far = [placed(problem, base, values) for values in grid]
                 at = list(pool.map(evaluate, far, repeat(free)))
                 left = np.array([a.predicted(problem) for a in at])
