@@ -242,7 +242,17 @@ def test_a_rig_file_or_a_log_cannot_reach_out(bench, call, tmp_path):
     assert secret.read_text() == "do not read me"
 
 
-@pytest.mark.parametrize("seed", range(30))
+FITTED = (3, 6, 25)
+"""Damage with which the command fits to the end, and longest."""
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(seed, marks=pytest.mark.slow if seed in FITTED else ())
+        for seed in range(30)
+    ],
+)
 def test_the_command_answers_or_refuses(bench, monkeypatch, cache_home, seed):
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache_home))
     folder, truth = bench

@@ -54,7 +54,7 @@ FAR = ("wide_stribeck", "soft_rod", "late_command")
 SLOW = [
     pytest.param(name, marks=pytest.mark.study if name in FAR else pytest.mark.slow)
     for name in [*CASES, "stribeck"]
-    if name not in ("none", "internal_leakage")
+    if name != "none"
 ]
 """Cases that the suite leaves to `pytest -m slow`, or `pytest -m study`."""
 
@@ -104,7 +104,8 @@ def test_where_nothing_is_missing_nothing_is_named(traced):
     assert "Nothing is missing" in outcome.sentence
 
 
-@pytest.mark.parametrize("name", ["internal_leakage", SLOW[-1]])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["internal_leakage", "stribeck"])
 def test_an_effect_is_named_and_measured(traced, name):
     outcome = traced(name)
     assert [e.name for e in outcome.effects] == [name]
@@ -191,9 +192,7 @@ def test_what_no_catalogue_names_is_left_unknown_and_described(traced):
     assert left.description in outcome.sentence
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param("none", marks=pytest.mark.slow), "internal_leakage", *SLOW]
-)
+@pytest.mark.parametrize("name", [pytest.param("none", marks=pytest.mark.slow), *SLOW])
 def test_the_outcome_is_consistent_with_itself(traced, name):
     outcome = traced(name)
     catalogue = {c.name for c in outcome.candidates}
@@ -223,6 +222,7 @@ def test_the_outcome_is_consistent_with_itself(traced, name):
         assert max(f / s for f, s in zip(falls, noise, strict=True)) > 0.02
 
 
+@pytest.mark.slow
 def test_the_report_says_the_same(traced, tmp_path):
     outcome = traced("internal_leakage")
     write_report(outcome, tmp_path / "out")
