@@ -8,7 +8,6 @@ from scipy import stats
 
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
@@ -123,12 +122,12 @@ def better(
     a: Float[np.ndarray, "windows 3"],
     b: Float[np.ndarray, "windows 3"],
     noise: Float[np.ndarray, "3"],
-    criteria: Criteria,
+    by: float,
 ) -> bool:
-    """Whether errors `a` are smaller than `b`, beyond chance in their sum over the
-    channels or in most windows.
+    """Whether errors `a` fall below `b` by `by` standard errors, paired by window: in
+    their mean over the windows, or in that of their logarithms where the mean falls.
     """
     seen = np.isfinite(noise)
     each = [np.sum(e[:, seen] / noise[seen] ** 2, axis=1)[:, None] for e in (b, a)]
-    sure = _falls(*each)[0] > criteria.beyond_chance
+    sure = _falls(*each)[0] > by
     return bool(sure and cost(a, noise) < cost(b, noise))

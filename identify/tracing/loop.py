@@ -85,7 +85,8 @@ def _or_several(
     several = _several(begun, effects, noise)
     if len(several.added) < len(begun.added) + 2:
         return found
-    return several if better(_errors(several), left, noise, found.criteria) else found
+    by = found.criteria.beyond_chance
+    return several if better(_errors(several), left, noise, by) else found
 
 
 def _scored_round(

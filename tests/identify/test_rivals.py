@@ -15,7 +15,6 @@ import pytest
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
 from hydrojax.identify.estimation.fit import fit_all
-from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.judge import better
 from hydrojax.identify.tracing.rivals import exchanged, pruned
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
@@ -88,5 +87,5 @@ def test_what_is_better_in_nearly_every_window_is_better(falls, rise, sure):
     after = before * (1 - falls) * rng.normal(1.0, 0.01, before.shape)
     after[7, 0] += rise
     noise = np.array([0.1, 0.1, np.inf])
-    assert better(after, before, noise, Criteria()) is sure
-    assert not better(before, after, noise, Criteria())
+    assert better(after, before, noise, 3.0) is sure
+    assert not better(before, after, noise, 3.0)
