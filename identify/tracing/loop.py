@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from math import comb
 
 import numpy as np
@@ -108,39 +109,38 @@ def _several(
     state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
 ) -> Tracing:
     """Add two effects or more that the flow balances want together, as many as help;
-    none of them may help alone. The error after each but the last is that of the
-    balances' own fit.
+    none of them may help alone. Each has the p-value of the whole set, and the error
+    of a fit without those that the balances wanted after it.
     """
     check, before = state.check, _errors(state)
-    sets, steps = [], [check.rms(before)]
+    sets = []
     for there in together(state, effects):
         state.progress(f"the flow balances want {there.added[-1].name}")
         sets.append(there)
-        rms = check.rms(_errors(there))
-        steps.append(np.where(np.isfinite(rms), rms, steps[-1]))
-    for there in reversed(sets[1:]):
+
+    def fitted(there: Tracing) -> Tracing:
         names = [a.name for a in there.added[len(state.added) :]]
         state.progress(f"refit with {', '.join(names)}")
         problem, point = fit_from(there, there.point.values, there.free, noise)
-        after = check.errors_at(point.values)
+        return replace(there, problem=problem, point=point, tried=state.tried)
+
+    for last in reversed(range(1, len(sets))):
+        found = fitted(sets[last])
+        after = _errors(found)
         if judge(state, before, after, noise) != "helps":
             continue
-        ways = comb(len(state.effects), len(names))
+        ways = comb(len(state.effects), last + 1)
         p_value = min(ways * chance(before, after, noise), 1.0)
-        steps[len(names)] = check.rms(after)
-        added = tuple(
-            Added(name, p_value, steps[i], steps[i + 1], ())
-            for i, name in enumerate(names)
-        )
+        fewer = [_errors(fitted(there)) for there in sets[:last]]
+        steps = [check.rms(e) for e in (before, *fewer, after)]
+        names = [a.name for a in found.added[len(state.added) :]]
         for name in names:
             state.progress(f"added {name}")
-        return replace(
-            there,
-            problem=problem,
-            point=point,
-            added=(*state.added, *added),
-            tried=state.tried,
+        added = (
+            Added(name, p_value, *ends, ())
+            for name, ends in zip(names, pairwise(steps), strict=True)
         )
+        return replace(found, added=(*state.added, *added))
     return state
 
 

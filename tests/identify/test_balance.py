@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from hydrojax.identify.estimation.balance import (
     in_brief,
 )
 from hydrojax.identify.estimation.columns import basis, filled, thinned
-from hydrojax.identify.estimation.fit import FitPoint
+from hydrojax.identify.estimation.fit import FitPoint, fit_pressures
 from hydrojax.identify.estimation.known import free_effect, free_parameters
 from hydrojax.identify.estimation.misfit import recall_all, run_sums
 from hydrojax.identify.estimation.pieces import Span
@@ -39,6 +39,7 @@ from hydrojax.identify.tracing.afar import (
     together,
 )
 from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.identify.tracing.loop import _several
 from hydrojax.identify.tracing.rivals import _taken_out
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log
@@ -246,3 +247,29 @@ def test_effects_that_are_missing_together_are_told_apart_one_by_one():
     rivals = {n: state.effects[n] for n in names}
     near = near_in_balances(found[-1], less, rivals)
     assert near and [name for name, _ in near] == ["signal_filter"]
+
+
+@pytest.mark.slow
+def test_the_errors_of_effects_found_at_once_are_of_fits_one_after_the_other():
+    folder = DATA / "machine_06"
+    if not folder.exists():
+        pytest.skip("the machines' logs are not here")
+    state = state_of(folder)
+    batch = thinned(state.problem.batch, 32)
+    criteria = replace(state.criteria, together=3)
+    problem = replace(state.problem, batch=batch, criteria=criteria)
+    values = balanced(problem, state.point.values, state.free)
+    fitted, values = fit_pressures(problem, values, state.free)
+    point = replace(state.point, values=values)
+    state = replace(state, problem=fitted, check=fitted, point=point)
+    several = _several(state, state.effects, state.noise)
+    added = several.added
+    assert len(added) >= 2 and len({a.p_value for a in added}) == 1
+    rms = fitted.rms(fitted.errors_at(values))
+    np.testing.assert_allclose(added[0].before, rms)
+    for one, next_one in pairwise(added):
+        np.testing.assert_array_equal(one.after, next_one.before)
+    last = several.check.rms(several.check.errors_at(several.point.values))
+    np.testing.assert_allclose(added[-1].after, last)
+    # A fit with one of them may leave more, as it begins where the balances put it.
+    assert np.all((last < 0.5 * rms)[:2])
