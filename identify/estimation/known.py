@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.parameters import Spec
+from hydrojax.effects import EFFECTS
+from hydrojax.parameters import Spec, specs
 from hydrojax.rigfile.schema import RigFile
 
 COULOMB = ("k_cp", "k_cn")
@@ -25,11 +26,21 @@ class Free:
 
 
 def free_parameters(spec: RigFile) -> dict[str, Free]:
-    """What a rig file leaves to be found, effects it declares included."""
-    entries = dict(spec.parameters)
+    """What a rig file leaves to be found, effects it declares included.
+
+    Of an effect of which anything is to be found, what the file leaves out and is
+    known roughly (`prior`) is found too, as where a trace adds the effect: held at its
+    default it would be paid for by effects that are not there.
+    """
+    entries, left_out = dict(spec.parameters), {}
     for effect, given in spec.effects.items():
         entries |= {f"{effect}.{name}": e for name, e in given.items()}
-    return {name: Free(e.start, *e.range) for name, e in entries.items() if e.range}
+        if any(e.range for e in given.values()):
+            rest = specs(EFFECTS[effect]).items()
+            rest = {n: s for n, s in rest if s.prior and n not in given}
+            left_out |= free_effect(effect, rest)
+    found = {name: Free(e.start, *e.range) for name, e in entries.items() if e.range}
+    return found | left_out
 
 
 def free_effect(name: str, spec: Mapping[str, Spec]) -> dict[str, Free]:

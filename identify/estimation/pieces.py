@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array, Int, PyTree
 
 from hydrojax.identify.estimation.columns import HANDFUL, Batch
@@ -57,15 +58,18 @@ def in_pieces(
         index = jnp.minimum(i * size + jnp.arange(size), count - 1)
         return part(i, *jax.tree.map(lambda a: a[index], windows))
 
+    # Traced once, for the shapes of what it gives and for the loop.
+    traced, gives = jax.make_jaxpr(piece, return_shape=True)(jnp.int32(0))
+    leaves, tree = jax.tree.flatten(gives)
+
     def put_in(i, out):
-        return jax.tree.map(lambda a, b: a.at[i - first].set(b), out, piece(i))
+        found = jaxpr_as_fun(traced)(jnp.int32(i))
+        return [a.at[i - first].set(b) for a, b in zip(out, found, strict=True)]
 
     room = min(pieces, most)
-    none = jax.tree.map(
-        lambda a: jnp.zeros((room, *a.shape), a.dtype), jax.eval_shape(piece, 0)
-    )
+    none = [jnp.zeros((room, *a.shape), a.dtype) for a in leaves]
     out = jax.lax.fori_loop(first, end, put_in, none)
-    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), out)
+    return jax.tree.unflatten(tree, [a.reshape(-1, *a.shape[2:]) for a in out])
 
 
 def on_all_cores(run: Callable[[int, Span], PyTree], batch: Batch) -> PyTree:

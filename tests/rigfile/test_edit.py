@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from hydrojax.errors import InputError
+from hydrojax.identify.estimation.known import free_parameters
 from hydrojax.rigfile.build import effects_of, over_travel
 from hydrojax.rigfile.edit import rewrite
 from hydrojax.rigfile.schema import RigFile
@@ -71,6 +72,26 @@ def test_an_added_effect_can_be_fitted_again(spec, tmp_path):
     entry = reread(tmp_path, text).effects["internal_leakage"]["c_il"]
     assert entry.start == 2e-12 and entry.range is not None
     assert entry.range[0] == 0.0
+
+
+def test_what_a_declared_effect_leaves_out_is_found_where_it_is_known_roughly(tmp_path):
+    """And written; nothing of an effect that is held as a whole."""
+    text = (
+        RIG.replace('zeta = "0.7"\n', "")
+        + '\n[effects.entrained_air]\nalpha = "0.01"\n'
+    )
+    spec = reread(tmp_path, text)
+    found = free_parameters(spec)
+    assert set(found) == {"beta", "k_fp", "valve_lag.tau", "valve_lag.zeta"}
+    zeta = found["valve_lag.zeta"]
+    assert (zeta.start, zeta.lower, zeta.upper, zeta.prior) == (0.7, 0.2, 0.99, 0.2)
+
+    values = {"valve_lag.zeta": 0.85, "entrained_air.n": 1.2}
+    new = reread(tmp_path, rewrite(spec, values))
+    assert new.effects["valve_lag"]["zeta"].start == pytest.approx(0.85)
+    assert new.effects["valve_lag"]["zeta"].range == pytest.approx((0.2, 0.99))
+    assert new.effects["valve_lag"]["tau"] == spec.effects["valve_lag"]["tau"]
+    assert set(new.effects["entrained_air"]) == {"alpha"}
 
 
 def test_controller_and_name(spec, tmp_path):
