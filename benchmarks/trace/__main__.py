@@ -18,7 +18,7 @@ from rich.progress import (
 )
 
 from . import baselines, cases, score, sizes, table, tracing
-from .catalogue import NAMED
+from .catalogue import ENDS, NAMED
 
 
 def main(
@@ -67,7 +67,7 @@ def main(
 
     specs = cases.plan(number, wanted, [n for n in NAMED if n in EFFECTS])
     if sized:
-        names = [n for n in sizes.ENDS if n in EFFECTS]
+        names = [n for n in ENDS if n in EFFECTS]
         specs += list(islice(sizes.sized(names), sized * len(names)))
     tracer = tracing.Tracing(oracle, with_baselines, cache)
     columns = (

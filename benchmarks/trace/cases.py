@@ -7,7 +7,8 @@ far off), `effect` (one hidden effect at 0.3, 1 or 3 times a size that matters),
 noise), `shift` (another load mass and supply pressure on the validation log). Not in
 the mix: `large` (one effect as large as the field's literature has it), `differential`
 (a cylinder with its rod on one side) and `coarse` (an encoder of 17 bits in place of
-23), each with one effect or nothing by turns.
+23), each with one effect or nothing by turns; `several` (three to six effects, each of
+any size from one that matters to the largest of the literature).
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from pathlib import Path
 
 import numpy as np
 
-from .catalogue import ALL, LARGEST, NAMED, OUTSIDE, SIZES
+from .catalogue import ALL, LARGEST, NAMED, OUTSIDE, SIZES, largest
 from .excitation import NOISE, STYLES
 from .plant import MASS, Lane
 from .record import Log, record
 
 MIXED = ("nothing", "parameters", "effect", "pair", "outside", "noise", "shift")
-KINDS = (*MIXED, "large", "differential", "coarse")
+KINDS = (*MIXED, "large", "differential", "coarse", "several")
 LOGS = tuple(f"{style}.csv" for style in STYLES)
 
 RANGES = {  # name: (unit, lower end, upper end)
@@ -114,6 +115,7 @@ def plan(
             layout="differential",
         ),
         "coarse": _by_turns("coarse", names, bits=17),
+        "several": _several(names),
     }
     more = dict(more or {})
     if unknown := sorted(set(more) - set(makers)):
@@ -166,6 +168,18 @@ def _pairs(names: Sequence[str]) -> Iterator[CaseSpec]:
         order = np.random.default_rng(i).permutation(len(both))
         for a, b in (both[j] for j in order):
             yield CaseSpec(f"pair-{a}+{b}-{i}", "pair", {a: 1.0, b: 1.0})
+
+
+def _several(names: Sequence[str]) -> Iterator[CaseSpec]:
+    """Sets of three, five, four and six effects by turns."""
+    plain = [n for n in names if not ALL[n].known]
+    for i in count():
+        rng = np.random.default_rng([i, *b"several"])
+        chosen = rng.choice(plain, (3, 5, 4, 6)[i % 4], replace=False)
+        tops = {str(n): max(largest(str(n))[0], 1.0) for n in chosen}
+        drawn = {n: np.exp(rng.uniform(0.0, np.log(top))) for n, top in tops.items()}
+        sizes = {n: float(f"{size:.3g}") for n, size in drawn.items()}
+        yield CaseSpec(f"several-{len(chosen)}-{i}", "several", sizes)
 
 
 def _outside() -> Iterator[CaseSpec]:

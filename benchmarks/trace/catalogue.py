@@ -134,3 +134,30 @@ _LARGEST: dict[str, Values] = {
 NAMED = {n: replace(k, largest=_LARGEST.get(n, {})) for n, k in NAMED.items()}
 
 ALL = NAMED | OUTSIDE
+
+ENDS: dict[str, dict[str, float]] = {
+    "valve_deadband": {"u_dbp": 5.0},
+    "valve_hysteresis": {"u_h": 2.0},
+    "valve_delay": {"tau_u": 0.15},
+    "valve_lag": {"omega": 20.0},
+    "valve_rate_limit": {"r_v": 5.0},
+    "backlash": {"b": 5e-3},
+    "loadcell_lag": {"tau_F": 0.1},
+    "pressure_sensor_lag": {"tau_P": 0.1},
+    "channel_skew": {"tau": 3e-3},
+}
+"""Ends of the ranges of effects whose residual is not monotone in their strength."""
+
+
+def _ratio(kind: Kind, values: dict[str, float]) -> float:
+    """The size at which an effect's first parameter that scales is as given."""
+    name = next(n for n in (*kind.strengths, *kind.inverse) if n in values)
+    ratio = values[name] / kind.at_1[name]
+    return ratio if name in kind.strengths else 1 / ratio
+
+
+def largest(name: str) -> tuple[float, float]:
+    """The sizes at the largest of the literature, and at the range's end."""
+    kind = NAMED[name]
+    known = _ratio(kind, kind.scaled(LARGEST))
+    return known, _ratio(kind, ENDS[name]) if name in ENDS else known

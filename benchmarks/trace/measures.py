@@ -27,7 +27,7 @@ def wilson(hits: int, of: int, z: float = Z_95) -> tuple[float, float]:
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def share(rows: Sequence[Row], hit: Callable[[Row], bool]) -> str:
+def share(rows: Sequence[Any], hit: Callable[[Any], bool]) -> str:
     """`hits/of = percent [interval]` over rows."""
     hits, of = sum(bool(hit(r)) for r in rows), len(rows)
     if of == 0:

@@ -89,6 +89,7 @@ def _main(good: Sequence[Row]) -> str:
         ("the same: `explained`", share(_of(good, "large"), _explained)),
         ("pair: both named, nothing else", share(_of(good, "pair"), exact)),
         ("pair: at least one of both named", share(_of(good, "pair"), _one_of)),
+        *_sets(good),
         ("outside the vocabulary: `unknown`", share(_of(good, "outside"), _unknown)),
         ("outside: and no effect named", share(_of(good, "outside"), _unnamed)),
         ("outside: seen at all", share(_of(good, "outside"), said)),
@@ -111,6 +112,29 @@ def _main(good: Sequence[Row]) -> str:
     out += _errors(good) + _coverage(good) + _times(good)
     lines = ["| | trace |", "|---|---|"]
     return "\n".join(lines + [f"| {name} | {value} |" for name, value in out])
+
+
+def _sets(good: Sequence[Row]) -> list[tuple[str, str]]:
+    """Of several effects at once, the sets that were named and their effects."""
+    every = _of(good, "several")
+    out = []
+    for n in sorted({len(r["sizes"]) for r in every}):
+        rows = [r for r in every if len(r["sizes"]) == n]
+        out.append((f"{n} effects: all named, nothing else", share(rows, exact)))
+        out.append((f"{n} effects: `explained`", share(rows, _explained)))
+    each = [(r, n) for r in every for n in r["sizes"]]
+    wrong = [(r, n) for r in every for n in named(r)]
+    out.append(("several: of their effects named", share(each, _is_named)))
+    out.append(("several: names that are false", share(wrong, _is_false)))
+    return out if every else []
+
+
+def _is_named(pair: tuple[Row, str]) -> bool:
+    return pair[1] in named(pair[0])
+
+
+def _is_false(pair: tuple[Row, str]) -> bool:
+    return pair[1] not in pair[0]["sizes"]
 
 
 def _shifted(rows: Sequence[Row]) -> list[Row]:
