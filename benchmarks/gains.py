@@ -64,9 +64,10 @@ def _lane(o: Objective, row: np.ndarray) -> Lane:
     return Lane(rig, rig, effects)
 
 
-def simulate(o: Objective, rows: Rows, which: np.ndarray) -> np.ndarray:
-    """The other plant's force [L, N] in the objective's trials."""
-    lanes = [_lane(o, row) for row in rows.plant]
+def simulate(
+    o: Objective, rows: Rows, which: np.ndarray, lanes: list[Lane]
+) -> np.ndarray:
+    """The other plant's force [L, N] in the objective's trials, on these lanes."""
     h, n, count = TICK / SUBSTEPS, o.trials.F_d.shape[1], len(lanes)
     laws = [
         setting_at(o.setting, o.free, o.names, g, p, 0.0).loop.law
@@ -113,6 +114,19 @@ def simulate(o: Objective, rows: Rows, which: np.ndarray) -> np.ndarray:
     return out.T
 
 
+def bands(o: Objective, F: np.ndarray) -> np.ndarray:
+    """Bands within 1 dB, to a lag of 90 degrees and of following, Hz, [3, L].
+
+    Of forces [trials, L, N], those of the response at both amplitudes first; the worse.
+    """
+    found = []
+    for i, k in enumerate((trials.RESPONSE, trials.RESPONSE_SMALL)):
+        H = trials.response_of(o.trials, k, F[i])
+        inside = TOLERANCE - np.abs(1 - H)
+        found.append(verification.bands(o.trials.given.hertz, H, inside))
+    return np.min(found, axis=0)
+
+
 def promises(o: Objective, folder: Path) -> None:
     """Promised and measured, before and after."""
     made = json.loads((folder / "tune.json").read_text())["gains"]
@@ -123,13 +137,10 @@ def promises(o: Objective, folder: Path) -> None:
     for title, gains in (("before", o.initial()), ("after", after)):
         ours = verification.run_trials(o, [gains], 450.0)[0]
         rows = o.rows(gains, (0.0,) * len(runs))
-        F = simulate(o, rows, np.repeat(runs, PLANTS)).reshape(len(runs), PLANTS, -1)
-        bands = []
-        for k, i in ((runs[0], 0), (runs[1], 1)):
-            H = trials.response_of(o.trials, k, F[i])
-            inside = TOLERANCE - np.abs(1 - H)
-            bands.append(verification.bands(o.trials.given.hertz, H, inside))
-        within, lag, follows = np.min(bands, axis=0)
+        lanes = [_lane(o, row) for row in rows.plant]
+        F = simulate(o, rows, np.repeat(runs, PLANTS), lanes)
+        F = F.reshape(len(runs), PLANTS, -1)
+        within, lag, follows = bands(o, F)
         moving = trials.rms_error(o.trials, runs[2], F[2])
         for name, mine, his, worst in (
             ("follows to, Hz", ours.follows_to, follows, np.min),
@@ -161,7 +172,7 @@ def oscillations(o: Objective) -> None:
     F = o.programs.runs(o.setting, rows, which, o.trials.scenarios)[..., 0]
     mine, theirs = (
         trials.oscillation(o.trials, trials.MOVING, each, TICK)
-        for each in (F, simulate(o, rows, which))
+        for each in (F, simulate(o, rows, which, [_lane(o, p) for p in plant]))
     )
     print(
         "\nspool, Hz  gains  rates  eigenvalue  oscillation, N RMS: package     other"

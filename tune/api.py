@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import xarray as xr
 from jaxtyping import ArrayLike
@@ -172,6 +173,49 @@ def tune_gains(
     """
     ensure_jax()
     progress("read the rig")
+    tuning = plan_tuning(
+        rig, free, limits, aim=aim, at=at, plants=plants, spread=spread,
+        findings=findings, controller=controller, progress=progress,
+    )  # fmt: skip
+    return _tuned(tuning, starts, progress)
+
+
+class ToTune(NamedTuple):
+    """What a tuning sets out from.
+
+    Attributes:
+        file: the rig file.
+        objective: what is made as large as it can be, on which plants.
+        plants: of the ensemble.
+        findings: of an identification, if any.
+        given: names of effects and parameters of which anything is said.
+    """
+
+    file: RigFile
+    objective: Objective
+    plants: Plants
+    findings: Findings | None
+    given: set[str]
+
+
+def plan_tuning(
+    rig: RigFile | str | Path,
+    free: Sequence[str] = (),
+    limits: Limits | None = None,
+    *,
+    aim: Aim | None = None,
+    at: Mapping[str, float | str] | None = None,
+    plants: int = PLANTS,
+    spread: float = SPREAD,
+    findings: str | Path | None = None,
+    controller: str = "",
+    progress: Callable[[str], None] = lambda _: None,
+) -> ToTune:
+    """What `tune_gains` does with the same arguments.
+
+    Raises:
+        InputError: see `tune_gains`.
+    """
     file = with_controller(rig_file(rig), controller)
     found = Findings.load(findings) if findings else None
     setting, known = open_rig(file, None, at, (*free, *VALVE), found)
@@ -184,7 +228,7 @@ def tune_gains(
     those = with_unsaid(setting, those, given)
     progress("compile the loop")
     objective = Objective(setting, chosen, those, limits or Limits(), aim)
-    return _tuned(file, objective, those, found, given, starts, progress)
+    return ToTune(file, objective, those, found, given)
 
 
 def _named(at: Mapping[str, float | str]) -> set[str]:
@@ -192,11 +236,9 @@ def _named(at: Mapping[str, float | str]) -> set[str]:
     return {name.partition(".")[0] for name in at}
 
 
-def _tuned(
-    file: RigFile, objective: Objective, plants: Plants, findings: Findings | None,
-    given: set[str], starts: int, progress: Callable[[str], None],
-) -> Tuned:  # fmt: skip
+def _tuned(tuning: ToTune, starts: int, progress: Callable[[str], None]) -> Tuned:
     """What is proposed for an objective."""
+    file, objective, plants, findings, given = tuning
     chosen, start = objective.free, objective.initial()
     most = cap(objective, {"valve_lag", "valve_delay"} <= given)
     progress("try the present gains in runs")
