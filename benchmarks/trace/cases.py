@@ -318,6 +318,16 @@ def write_log(path: Path, log: Log) -> None:
     np.savetxt(path, table, formats, ",", header=header, comments="")
 
 
+LOST = 0.1
+"""Share of the ticks with the command at its end from which nobody would take a log of
+several effects: what it then shows is a limit cycle."""
+
+
+def _full(log: Log) -> float:
+    most = np.max(np.abs(log["u"]))
+    return float(np.mean(np.abs(log["u"]) >= most)) if most > 0 else 0.0
+
+
 def write_cases(
     specs: Sequence[CaseSpec],
     folder: Path,
@@ -347,6 +357,9 @@ def write_cases(
         own = logs[3 * i : 3 * i + 3]
         if not all(np.isfinite(y).all() for log in own for y in log.values()):
             bad[spec.name] = "the rig ran away while it was recorded"
+            continue
+        if spec.kind == "several" and any(_full(log) > LOST for log in own):
+            bad[spec.name] = "the loop lost the rig: its command stands at its end"
             continue
         place = folder / spec.name
         place.mkdir(parents=True, exist_ok=True)
