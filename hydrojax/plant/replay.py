@@ -275,6 +275,17 @@ def before_filters(rig: Rig, w: Windows) -> Windows:
     return w._replace(P_a1=P_a1, P_a2=P_a2, P_s=P_s, dP=jnp.zeros_like(w.dP))
 
 
+def at_start(
+    rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
+) -> Float[Array, "windows 2"]:
+    """The pressures where the windows begin, Pa: `P_0`, which is as the log shows it,
+    ahead of what filtered the log.
+    """
+    ahead = before_filters(rig, w)
+    behind = (ahead.P_a1 - w.P_a1)[:, 0], (ahead.P_a2 - w.P_a2)[:, 0]
+    return P_0 + jnp.stack(behind, axis=-1)
+
+
 def pressures(
     rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
 ) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:

@@ -94,7 +94,8 @@ class Batch(NamedTuple):
     Attributes:
         motion: of whole segments.
         windows: cut from them.
-        P_0: first guess of the pressures at each window's first tick, Pa.
+        P_0: first guess of the pressures at each window's first tick, Pa, as a sensor
+            that filters would show them (see `replay.at_start`).
         noise: standard deviation of each channel, SI; inf where it is not compared.
         supply_noise: standard deviation of the measured P_s, Pa (0 where the log has
             none): white noise there integrates to a drift of the pressures, which would

@@ -34,7 +34,7 @@ from hydrojax.identify.estimation.sensitivity import (
     sensitivities,
 )
 from hydrojax.parameters import put
-from hydrojax.plant.replay import Motion, Past, pressures
+from hydrojax.plant.replay import Motion, Past, at_start, pressures
 from hydrojax.programs.compiled import program_of_pytrees
 
 START_SPREAD = 3e5
@@ -308,4 +308,5 @@ def run_pressures(
 ) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
     """Both pressures of the windows as the model has them, Pa; compiled."""
     rig = put(model.rig, model.names, values)
-    return pressures(rig, batch.windows, jnp.asarray(batch.P_0))
+    w = batch.windows
+    return pressures(rig, w, at_start(rig, w, jnp.asarray(batch.P_0)))

@@ -31,6 +31,7 @@ from hydrojax.plant.replay import (
     Motion,
     Past,
     Windows,
+    at_start,
     forces,
     friction_memory,
     openings,
@@ -208,7 +209,8 @@ def driven_pressures(
         move = directions.hydraulic @ d if k_1 else 0.0
         at = put(rig, names[:n], values[:n] + move)
         moved = w._replace(P_s=w.P_s + of_mean * supply[block])
-        return pressures_behind(at, moved, batch.P_0 + P_shift, opened)
+        P_0 = at_start(at, moved, batch.P_0 + P_shift)
+        return pressures_behind(at, moved, P_0, opened)
 
     def along(e, by):
         parts = (e[:k_1], e[k_1 : k_1 + 2], e[k_1 + 2 :], by)

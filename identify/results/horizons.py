@@ -16,7 +16,7 @@ from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import Horizon
 from hydrojax.parameters import put
-from hydrojax.plant.replay import friction_memory, pressures, readings
+from hydrojax.plant.replay import at_start, friction_memory, pressures, readings
 from hydrojax.programs.compiled import program_of_pytrees
 
 LONGER = (1.0, 5.0)
@@ -145,7 +145,7 @@ def _run_on(
             P = jnp.stack([P_a1[0, end], P_a2[0, end]])
             return (P, y[shown, :2], slope), y
 
-        start = jnp.asarray(batch.P_0)
+        start = at_start(rig, w, jnp.asarray(batch.P_0))
         read = jnp.stack([w.P_a1[:, 0], w.P_a2[:, 0]], axis=1)
         measured = (start, read, w.dP[:, 0, :2, 0])
         first = jax.tree.map(lambda a: a[0], measured)
