@@ -1,5 +1,6 @@
 """Effects of working machines' valves and loggers, against closed forms and scipy."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -15,6 +16,7 @@ from hydrojax.parameters import put
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.hydraulics import follow_drops, pressure_step
 from hydrojax.plant.layout import LAYOUTS
+from hydrojax.plant.replay import Windows, at_start
 from hydrojax.plant.rig import add, bare_rig
 from hydrojax.plant.state import StepInput
 
@@ -308,3 +310,24 @@ def test_a_signal_filter_goes_on_from_its_reading(omega, zeta):
     assert rms(channel.run(y, line, h, known)[0]) < 0.1 * rms(
         channel.run(y, line, h)[0]
     )
+
+
+def test_windows_begin_ahead_of_what_filtered_them():
+    """At the true pressures, off which the log is several bar, within a tenth."""
+    t, true, read = logged_pressures(25.0, 0.8, noise=5e3)
+    both = derivatives(t, read)
+    at = np.arange(200, 2900, 31)[:, None] + np.arange(30)
+    y, dy = jnp.asarray(read[at]), jnp.asarray(both[at])
+    empty = Windows(*[None] * len(Windows._fields))
+    w = empty._replace(P_a1=y, P_a2=2 * y, P_s=y, dP=jnp.stack([dy, 2 * dy, dy], 2))
+    rig = SimpleNamespace(sensor_P=(EFFECTS["signal_filter"](tau=1 / 25, zeta=0.8),))
+    shown = jnp.stack([y[:, 0], 2 * y[:, 0]], axis=1)
+
+    got = np.asarray(at_start(rig, w, shown + 1e5)) - 1e5
+    wanted = np.stack([true[at[:, 0]], 2 * true[at[:, 0]]], axis=1)
+    off = np.sqrt(np.mean((np.asarray(shown) - wanted) ** 2, axis=0))
+    assert off[0] > 5e5
+    assert np.all(np.sqrt(np.mean((got - wanted) ** 2, axis=0)) < 0.1 * off)
+
+    none = SimpleNamespace(sensor_P=())
+    assert np.array_equal(np.asarray(at_start(none, w, shown)), np.asarray(shown))
