@@ -18,7 +18,7 @@ from hydrojax.identify.discovery.smooth import Columns, Smooth, directions, smoo
 from hydrojax.identify.estimation.fit import fit_jointly, fit_pressures, only
 from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.identify.tracing.judge import chance, cost, judge, worse
+from hydrojax.identify.tracing.judge import chance, cost, judge, may_rise, worse
 from hydrojax.identify.tracing.score import (
     Projection,
     Score,
@@ -223,7 +223,8 @@ def _round(at: Search, every: Sequence[Laid], noise: np.ndarray) -> Search:
         state.progress(f"refit with a curve: {s.name}")
         one = by_name[s.name]
         there = fitted(at, one, smooth[s.name], p[s.name], before, noise)
-        verdict = judge(there.state, before, there.curves[-1].after, noise)
+        by = may_rise(there.state, [one.effect], noise)
+        verdict = judge(there.state, before, there.curves[-1].after, noise, by)
         state.progress(f"{s.name}: {verdict}")
         if verdict == "helps":
             helped.append(there)

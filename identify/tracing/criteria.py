@@ -22,6 +22,11 @@ class Criteria:
     matters: float = 0.02
     """Smallest fall of a channel's validation RMS that counts, as a share of its noise.
     The resolution that is asked of a trace; `benchmarks.trace`."""
+    bends: float = 0.005
+    """Rise of a pressure's validation RMS that an effect which acts on the pressures
+    may bring where the force is compared too, as a share of its noise: a force that
+    lacks something else bends the pressures for it (seen: 0.014 and 0.018).
+    `benchmarks.trace --more several`."""
     level: float = 0.01
     """Family-wise significance below which a candidate's score is taken as real, 1.
     Convention; its false alarms are counted by `benchmarks.trace`."""

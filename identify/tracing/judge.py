@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
@@ -11,6 +13,7 @@ from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
+from hydrojax.plant.places import place_of
 
 
 def judge(
@@ -18,13 +21,14 @@ def judge(
     before: Float[np.ndarray, "windows 3"],
     after: Float[np.ndarray, "windows 3"],
     noise: Float[np.ndarray, "3"],
+    by: Float[np.ndarray, "3"],
 ) -> str:
     """Whether an effect helps, from validation errors before and after.
 
     It must lower some channel's error beyond chance (paired by window) by `matters`
     of its noise, and either bring that channel to its noise or take a fair share of
     what stood above it; the latter in the force only where the pressures are explained.
-    And no other channel's error may rise beyond chance by so much.
+    And no channel's error may rise beyond chance by more than `by` (see `may_rise`).
     """
     own = state.criteria
     seen = np.isfinite(noise)
@@ -43,22 +47,36 @@ def judge(
         fair &= (a <= own.at_noise * sigma) | PRESSURES[seen]
     if not np.any(helps & fair):
         return "explains too little"
-    return (
-        "spoils another channel" if worsened(state, before, after, noise) else "helps"
-    )
+    return "spoils another channel" if worsened(state, before, after, by) else "helps"
+
+
+def may_rise(
+    state: Tracing, effects: Iterable[Effect], noise: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """By how much effects may raise each channel's RMS error, SI; inf where it is not
+    compared.
+
+    By what does not matter; less in the pressures where one of the effects acts on
+    them and the force is compared too, for which they would be bent.
+    """
+    own = state.criteria
+    upstream = any(place_of(e).shows_in_pressures for e in effects)
+    if upstream and state.problem.sees_pressures and np.isfinite(noise[2]):
+        return np.where(PRESSURES, own.bends, own.matters) * noise
+    return own.matters * noise
 
 
 def worsened(
     state: Tracing,
     before: Float[np.ndarray, "windows 3"],
     after: Float[np.ndarray, "windows 3"],
-    noise: Float[np.ndarray, "3"],
+    by: Float[np.ndarray, "3"],
 ) -> bool:
-    """Whether any channel's error rose beyond chance by `matters` of its noise."""
-    seen, own = np.isfinite(noise), state.criteria
+    """Whether any channel's error rose beyond chance by more than `by`."""
+    seen = np.isfinite(by)
     rms = (state.check.rms(after) - state.check.rms(before))[seen]
-    sure = _falls(after[:, seen], before[:, seen]) > own.beyond_chance
-    return bool(np.any(sure & (rms > own.matters * noise[seen])))
+    sure = _falls(after[:, seen], before[:, seen]) > state.criteria.beyond_chance
+    return bool(np.any(sure & (rms > by[seen])))
 
 
 def negligible(problem: Problem, point: FitPoint, effect: Effect) -> bool:

@@ -17,6 +17,7 @@ from hydrojax.identify.tracing.judge import (
     chance,
     cost,
     judge,
+    may_rise,
     negligible,
     worse,
 )
@@ -127,7 +128,9 @@ def _several(
     for last in reversed(range(1, len(sets))):
         found = fitted(sets[last])
         after = _errors(found)
-        if judge(state, before, after, noise) != "helps":
+        there = [state.effects[a.name] for a in found.added[len(state.added) :]]
+        by = may_rise(state, there, noise)
+        if judge(state, before, after, noise, by) != "helps":
             continue
         ways = comb(len(state.effects), last + 1)
         p_value = min(ways * chance(before, after, noise), 1.0)
@@ -172,7 +175,8 @@ def _round(
         state.progress(f"refit with {s.name}")
         problem, point = refit(state, effects[s.name], s, noise)
         after = state.check.errors_at(point.values)
-        tried[s.name] = judge(state, before, after, noise)
+        by = may_rise(state, [effects[s.name]], noise)
+        tried[s.name] = judge(state, before, after, noise, by)
         if negligible(problem, point, effects[s.name]):
             tried[s.name] = "too small"
         quiet = state.check.rms(after) <= (1 + criteria.matters) * noise

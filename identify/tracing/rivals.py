@@ -12,7 +12,7 @@ from jaxtyping import Float
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.afar import near_in_balances
-from hydrojax.identify.tracing.judge import worse, worsened
+from hydrojax.identify.tracing.judge import may_rise, worse, worsened
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
@@ -102,7 +102,8 @@ def _exchanged(
         after = state.check.errors_at(point.values)
         if not worse(own, after, noise, state.criteria.beyond_chance):
             continue
-        if worsened(state, own, after, noise):
+        by = may_rise(state, [rivals[rival]], noise)
+        if worsened(state, own, after, by):
             continue
         state.progress(f"{rival} takes the place of {name}")
         rms = state.check.rms
