@@ -15,10 +15,10 @@ from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.check import check_inputs
-from hydrojax.identify.estimation.balance import balanced
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
+    begin_pressures,
     fit_all,
     fit_force,
     fit_jointly,
@@ -105,8 +105,8 @@ def _fit_base(
         values = best_start(problem, values, free, starts)
     progress("fit the declared model")
     if problem.sees_pressures and problem.side(free, True):
-        values = balanced(problem, values, free)
-        problem, values = fit_pressures(problem, values, free)
+        begun = begin_pressures(problem, values, free, progress)
+        problem, values = fit_pressures(problem, begun, free)
     done, point = fit_force(problem, values, free)
     if not np.isfinite(done.batch.P_0).all():
         raise InputError(

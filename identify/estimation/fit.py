@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from hydrojax.identify.estimation.balance import balanced
 from hydrojax.identify.estimation.columns import thinned
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.estimation.starts import stuck
 from hydrojax.plant.places import gauge_names
 
 
@@ -58,6 +60,36 @@ def in_short(problem: Problem) -> Problem:
     if not problem.simulate or len(problem.batch.P_0) < 2 * most:
         return problem
     return replace(problem, batch=thinned(problem.batch, most))
+
+
+def begin_pressures(
+    problem: Problem,
+    values: Float[np.ndarray, "n"],
+    free: Sequence[str],
+    progress: Callable[[str], None] = lambda _: None,
+) -> Float[np.ndarray, "n"]:
+    """Where a fit of the pressures may begin: where that of the flow balances leads.
+
+    Where a fit from there leaves a parameter at an end of its range, one from `values`
+    is tried too: balances see little of some (a volume, an opening), and may put them
+    where no replay comes back from.
+    """
+    few = in_short(problem)
+    near = balanced(problem, values, free)
+    if near is values:
+        return values
+    first = fit_pressures(few, near, free)
+    if not stuck(problem, first[1], few.side(free, True)):
+        return first[1]
+    progress("fit from the rig file's own values too")
+    both = (first, fit_pressures(few, values, free))
+    noise = np.asarray(problem.batch.noise)
+    seen = np.isfinite(noise) & PRESSURES
+
+    def left(done: Problem, at: np.ndarray) -> float:
+        return float(np.sum((done.rms(done.errors_at(at))[seen] / noise[seen]) ** 2))
+
+    return min(both, key=lambda f: left(*f))[1]
 
 
 def fit_all(

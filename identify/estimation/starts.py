@@ -54,3 +54,17 @@ def placed(
         f = problem.free[name]
         values[problem.model.names.index(name)] = np.clip(value, f.lower, f.upper)
     return values
+
+
+def stuck(
+    problem: Problem, values: Float[np.ndarray, "n"], names: Sequence[str]
+) -> list[str]:
+    """Those of the names that stand at an end of their range, off which they began."""
+    out = []
+    for name in names:
+        f, at = problem.free[name], values[problem.model.names.index(name)]
+        slack = 1e-6 * (f.upper - f.lower)
+        inside = f.lower + slack < f.start < f.upper - slack
+        if inside and not f.lower + slack < at < f.upper - slack:
+            out.append(name)
+    return out

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from hydrojax.identify.estimation.fit import FitPoint, fit_jointly, fit_pressures
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.estimation.starts import placed
+from hydrojax.identify.estimation.starts import placed, stuck
 from hydrojax.identify.tracing.judge import cost
 from hydrojax.identify.tracing.score import Score
 from hydrojax.identify.tracing.screen import scores_of
@@ -101,12 +101,6 @@ def _brought_back(
     and from there a fit may not find back.
     """
     mechanical = problem.side(free, False)
-    at = {n: values[problem.model.names.index(n)] for n in mechanical}
-    stuck = []
-    for name, f in ((n, problem.free[n]) for n in mechanical):
-        slack = 1e-6 * (f.upper - f.lower)
-        inside = f.lower + slack < f.start < f.upper - slack
-        if inside and not f.lower + slack < at[name] < f.upper - slack:
-            stuck.append(name)
-    for names in filter(None, (stuck, mechanical if friction else ())):
+    at_ends = stuck(problem, values, mechanical)
+    for names in filter(None, (at_ends, mechanical if friction else ())):
         yield placed(problem, values, {n: problem.free[n].start for n in names})
