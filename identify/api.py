@@ -38,6 +38,7 @@ from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.sentence import motion_sentence
 from hydrojax.identify.results.summary import summarise, with_inputs
 from hydrojax.identify.tracing.loop import search_effects
+from hydrojax.identify.tracing.rivals import shed
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.jax_setup import cores
 from hydrojax.parameters import specs
@@ -192,7 +193,7 @@ def trace_case(
         replace(point, values=values),
         progress,
     )
-    state = _on_all(done, _searched(case, search_effects(start)))
+    state = shed(_on_all(done, _searched(case, search_effects(start))))
     found = _outcome("trace", case, state, point, began, compiled, progress, profile)
     return with_inputs(found, inputs.result().found)
 

@@ -80,10 +80,10 @@ def worsened(
 
 
 def negligible(problem: Problem, point: FitPoint, effect: Effect) -> bool:
-    """Whether all of an effect's strengths came out under the least that is it."""
+    """Whether none of an effect's strengths came out above the least that is it."""
     names = problem.model.names
     return all(
-        abs(point.values[names.index(f"{effect.name}.{field}")]) < s.minimum
+        abs(point.values[names.index(f"{effect.name}.{field}")]) <= s.minimum
         for field, s in specs(effect).items()
         if s.strength
     )

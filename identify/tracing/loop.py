@@ -22,7 +22,7 @@ from hydrojax.identify.tracing.judge import (
     worse,
 )
 from hydrojax.identify.tracing.refit import fit_from, refit
-from hydrojax.identify.tracing.rivals import exchanged, pruned, with_look_alikes
+from hydrojax.identify.tracing.rivals import exchanged, pruned, shed, with_look_alikes
 from hydrojax.identify.tracing.score import Score, family, worth_a_refit
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
@@ -46,7 +46,7 @@ def search_effects(state: Tracing) -> Tracing:
         problem, point = fit_force(state.problem, state.point.values, state.free)
         state = replace(state, problem=problem, point=point)
         state = _stage(state, state.effects, state.noise)
-    return with_look_alikes(state)
+    return with_look_alikes(shed(state))
 
 
 def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.afar import near_in_balances
-from hydrojax.identify.tracing.judge import may_rise, worse, worsened
+from hydrojax.identify.tracing.judge import may_rise, negligible, worse, worsened
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
@@ -39,6 +39,16 @@ def pruned(state: Tracing, noise: Float[np.ndarray, "3"], fresh: int = 1) -> Tra
             state.progress(f"let go of {name}")
             state = replace(less, tried={**less.tried, name: "needless"})
             gram = _gram(state, noise)
+    return state
+
+
+def shed(state: Tracing) -> Tracing:
+    """The state without effects that a later fit has brought to nothing."""
+    for name in [a.name for a in state.added]:
+        if negligible(state.problem, state.point, state.effects[name]):
+            state.progress(f"let go of {name}")
+            less = _taken_out(state, name)
+            state = replace(less, tried={**less.tried, name: "too small"})
     return state
 
 

@@ -14,9 +14,9 @@ import pytest
 
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
-from hydrojax.identify.estimation.fit import fit_all
-from hydrojax.identify.tracing.judge import better
-from hydrojax.identify.tracing.rivals import exchanged, pruned
+from hydrojax.identify.estimation.fit import FitPoint, fit_all
+from hydrojax.identify.tracing.judge import better, may_rise, worsened
+from hydrojax.identify.tracing.rivals import exchanged, pruned, shed
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
 
 TRUE, WRONG = "internal_leakage", "external_leakage"
@@ -24,12 +24,18 @@ NONE = np.full(3, np.nan)
 
 
 @pytest.fixture(scope="module")
-def leaking(recorded) -> Callable[..., Tracing]:
-    """The state of a trace that has added these effects, fitted, and what it says."""
+def opened(recorded):
+    """Problems on both sets of logs, what is free, and candidates."""
     folder = recorded(4, {TRUE: {}})
     logs = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "validate")]
     case = open_case(folder / "rig.toml", logs[:2], logs[2:])
-    problem, check, declared, effects = api._problems(case, [TRUE, WRONG, "valve_bias"])
+    return api._problems(case, [TRUE, WRONG, "valve_bias", "stribeck"])
+
+
+@pytest.fixture(scope="module")
+def leaking(opened) -> Callable[..., Tracing]:
+    """The state of a trace that has added these effects, fitted, and what it says."""
+    problem, check, declared, effects = opened
 
     def fitted(*names: str, progress: Callable[[str], None] = print) -> Tracing:
         own = (n for name in names for n in free_names(effects[name]))
@@ -39,6 +45,16 @@ def leaking(recorded) -> Callable[..., Tracing]:
         return Tracing(found, check, effects, free, point, progress, added)
 
     return fitted
+
+
+def unfitted(opened, *names: str) -> Tracing:
+    """The state of a trace that has added these effects, where it begins."""
+    problem, check, declared, effects = opened
+    own = (n for name in names for n in free_names(effects[name]))
+    values, noise = problem.initial_values(), np.asarray(problem.batch.noise)
+    point = FitPoint(values, noise, 0, True)
+    added = tuple(Added(name, 0.0, NONE, NONE, ()) for name in names)
+    return Tracing(problem, check, effects, (*declared, *own), point, print, added)
 
 
 def names_of(state: Tracing) -> list[str]:
@@ -74,6 +90,35 @@ def test_the_needless_one_of_two_is_let_go_and_the_other_not_even_tried(leaking,
 def test_the_last_one_is_not_questioned(leaking):
     both = leaking(TRUE, WRONG)
     assert pruned(both, both.noise) is both
+
+
+def test_what_came_to_nothing_is_let_go(opened):
+    state = unfitted(opened, TRUE, WRONG)
+    at = state.problem.model.names.index(f"{TRUE}.c_il")
+    state.point.values[at] = 2e-13
+    left = shed(state)
+    assert names_of(left) == [TRUE] and left.tried == {WRONG: "too small"}
+    assert set(state.free) - set(left.free) == set(free_names(state.effects[WRONG]))
+    assert shed(left) is left
+
+
+def test_no_effect_may_bend_the_pressures_for_the_force(opened):
+    state = unfitted(opened)
+    own, noise = state.criteria, state.noise
+    wide = own.matters * noise
+    assert 0 < own.bends < own.matters
+    leak, friction = state.effects[TRUE], state.effects["stribeck"]
+    assert np.array_equal(may_rise(state, [friction], noise), wide)
+    bent = may_rise(state, [friction, leak], noise)
+    assert np.allclose(bent, [own.bends * noise[0], own.bends * noise[1], wide[2]])
+    alone = np.where([True, True, False], noise, np.inf)
+    assert np.array_equal(may_rise(state, [leak], alone), own.matters * alone)
+
+    before = np.full((50, 3), 250.0) * noise**2
+    rise = np.random.default_rng(1).uniform(0.02, 0.03, 50)[:, None]
+    after = before * (1 + rise * [1.0, 0.0, 0.0])  # 0.012 of the noise
+    assert worsened(state, before, after, bent)
+    assert not worsened(state, before, after, wide)
 
 
 @pytest.mark.parametrize(
