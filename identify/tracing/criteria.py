@@ -51,7 +51,8 @@ class Criteria:
     """Gain of chi-square from which a candidate is refitted, over that of a change
     that matters, 1. `benchmarks.trace`."""
     tries: int = 4
-    """Candidates that are refitted in a round, count. `benchmarks.trace`."""
+    """Candidates that are refitted in a round, count; up to twice as many where some
+    spoil another channel. `benchmarks.trace`."""
     near_best: float = 0.9
     """Gain over the best candidate's from which more than `tries` are refitted, 1.
     `benchmarks.trace`."""

@@ -167,8 +167,10 @@ def _round(
     helped: list[tuple[float, str, Problem, FitPoint, np.ndarray]] = []
     tries = criteria.tries
     least_left = worth[0].left - worth[0].gain if worth else 0.0
+    spent = 0  # what spoils another channel says nothing of what stands behind it
     for i, s in enumerate(worth):
-        if i >= tries and s.gain < criteria.near_best * worth[0].gain:
+        enough = max(spent, i - criteria.tries) >= tries
+        if enough and s.gain < criteria.near_best * worth[0].gain:
             break
         if helped and s.left - s.gain > criteria.outdone * least_left:
             break
@@ -179,6 +181,7 @@ def _round(
         tried[s.name] = judge(state, before, after, noise, by)
         if negligible(problem, point, effects[s.name]):
             tried[s.name] = "too small"
+        spent += tried[s.name] != "spoils another channel"
         quiet = state.check.rms(after) <= (1 + criteria.matters) * noise
         if tried[s.name] == "helps" and np.all(quiet[np.isfinite(noise)]):
             tries = 1  # nothing is left: only what comes as near may be the cause
