@@ -33,8 +33,9 @@ from .mutations import damaged_log, damaged_rig
 FREE = ("beta", "c_p1", "k_cp")
 """What is fitted; the rest of the rig is known."""
 SECONDS = 3.0
-PATIENCE = 60
-"""Seconds after which a run hangs."""
+PATIENCE = 180
+"""Seconds after which a run hangs: its programs may have to be compiled first, on a
+machine that does other work."""
 
 
 @dataclass(frozen=True)
