@@ -12,7 +12,7 @@ from jaxtyping import Float
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.afar import near_in_balances
-from hydrojax.identify.tracing.judge import may_rise, negligible, worse, worsened
+from hydrojax.identify.tracing.judge import judge, may_rise, negligible, worse
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
@@ -104,16 +104,15 @@ def _exchanged(
     rivals: Mapping[str, Effect],
     noise: Float[np.ndarray, "3"],
 ) -> Tracing:
-    """The state, or with a rival in an effect's place, the first of them that has a
-    smaller validation error beyond chance.
+    """The state, or with a rival in an effect's place: the first of them that lowers
+    the validation error by as much as an effect that is added has to. Of two models
+    that are both far off, the better one need not be nearer to the truth.
     """
     own = state.check.errors_at(state.point.values)
     for rival, problem, point in _in_place_of(state, name, rivals, noise):
         after = state.check.errors_at(point.values)
-        if not worse(own, after, noise, state.criteria.beyond_chance):
-            continue
         by = may_rise(state, [rivals[rival]], noise)
-        if worsened(state, own, after, by):
+        if judge(state, own, after, noise, by) != "helps":
             continue
         state.progress(f"{rival} takes the place of {name}")
         rms = state.check.rms
