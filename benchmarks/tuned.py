@@ -26,7 +26,7 @@ from benchmarks.trace.catalogue import NAMED
 from benchmarks.trace.excitation import TICK
 from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
 from hydrojax.report.record import read_report
-from hydrojax.tune import api, trials
+from hydrojax.tune import api, trials, verification
 
 AGREES = 0.1
 """Relative difference up to which a promised band is a measured one."""
@@ -66,7 +66,8 @@ def tuned(spec: cases.CaseSpec, folder: Path) -> Row:
     o, proposal = planned.objective, made.proposal
     lane = cases.lanes_of(spec)[0][0]
     count = len(o.trials.names)
-    rows = [o.rows(t.gains, (0.0,)) for t in (proposal.before, proposal.after)]
+    tries = (proposal.before, proposal.after)
+    rows = [o.rows(t.gains, (0.0,)) for t in tries]
     both = gains.Rows(
         *(
             np.repeat(np.stack([a[0], b[0]]), count, axis=0)
@@ -78,7 +79,9 @@ def tuned(spec: cases.CaseSpec, folder: Path) -> Row:
     F = np.moveaxis(F.reshape(2, count, -1), 0, 1)  # [trials, before and after, N]
     _, _, follows = gains.bands(o, F)
     swings = [trials.oscillation(o.trials, k, F[k], TICK) for k in range(count)]
+    noise = [verification.stability(o, t.gains)[2][0] for t in tries]
     wide = trials.SHARE * o.trials.amplitude[:, None]
+    wide = np.maximum(wide, trials.NOISES * np.array(noise))
     errors = {
         name: trials.rms_error(o.trials, k, F[k])
         for name, k in (("locked", trials.FORCE_LOCKED), ("moving", trials.MOVING))
@@ -90,8 +93,8 @@ def tuned(spec: cases.CaseSpec, folder: Path) -> Row:
         "proposed": proposal.found,
         "obstacles": list(proposal.obstacles),
         "gains": made.gains,
-        "promised": [float(t.follows_to[0]) for t in (proposal.before, proposal.after)],
-        "worst": [float(t.follows_to.min()) for t in (proposal.before, proposal.after)],
+        "promised": [float(t.follows_to[0]) for t in tries],
+        "worst": [float(t.follows_to.min()) for t in tries],
         "measured": follows.tolist(),
         "oscillates": np.any(np.array(swings) > wide, axis=0).tolist(),
         "swings": np.max(np.array(swings) / wide, axis=0).tolist(),

@@ -152,7 +152,7 @@ def _tried(
         found.append([np.where(alive, np.minimum(b, most), 0.0) for b in each])
         peaks.append(metrics.decibels(H).max(-1))
     within, lag, follows = np.min(found, axis=0)
-    eigenvalue, late, noise = _stability(objective, gains)
+    eigenvalue, late, noise = stability(objective, gains)
     swings = np.array([trials.oscillation(t, k, F[k], h) for k in range(len(F))])
     enough = np.maximum(trials.SHARE * t.amplitude[:, None], trials.NOISES * noise)
     full = np.abs(u) >= trials.FULL * float(objective.setting.loop.law.u_max)
@@ -168,7 +168,7 @@ def _tried(
     )  # fmt: skip
 
 
-def _stability(
+def stability(
     objective: Objective, gains: Float[np.ndarray, "gains"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Largest live eigenvalue as it is and with more delay, and noise of F, N."""
