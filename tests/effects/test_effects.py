@@ -31,7 +31,7 @@ from hydrojax.parameters import get, parameter_specs, put, specs
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding, run_linear, run_stop
 from hydrojax.plant.places import PLACES
-from hydrojax.plant.replay import friction_memory, pressures, readings
+from hydrojax.plant.replay import at_start, friction_memory, pressures, readings
 from hydrojax.plant.rig import add
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import act, start
@@ -665,7 +665,7 @@ def plain():
     @program
     def predict(rig, b):
         w, past = b.windows, friction_memory(rig, b.motion).within(b.windows)
-        return readings(rig, w, *pressures(rig, w, b.P_0), past)
+        return readings(rig, w, *pressures(rig, w, at_start(rig, w, b.P_0)), past)
 
     return predict
 
@@ -736,7 +736,7 @@ def test_supply_errors_have_their_derivative(full, batch, columns):
         lambda P_s: readings(
             full,
             w,
-            *pressures(full, w._replace(P_s=P_s), batch.P_0),
+            *pressures(full, w._replace(P_s=P_s), at_start(full, w, batch.P_0)),
             friction_memory(full, batch.motion).within(w),
         )
     )
@@ -757,7 +757,7 @@ def test_first_readings_have_their_derivative(full, batch, columns):
     """
     model, _, dy = columns
     w = batch.windows
-    P = pressures(full, w, batch.P_0)
+    P = pressures(full, w, at_start(full, w, batch.P_0))
     past = friction_memory(full, batch.motion).within(w)
     read = jax.jit(lambda w: readings(full, w, *P, past))
 
