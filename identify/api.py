@@ -18,11 +18,10 @@ from hydrojax.identify.checking.check import check_inputs
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
-    begin_pressures,
     fit_all,
     fit_force,
+    fit_from_balances,
     fit_jointly,
-    fit_pressures,
     in_short,
     reweighted,
 )
@@ -106,8 +105,7 @@ def _fit_base(
         values = best_start(problem, values, free, starts)
     progress("fit the declared model")
     if problem.sees_pressures and problem.side(free, True):
-        begun = begin_pressures(problem, values, free, progress)
-        problem, values = fit_pressures(problem, begun, free)
+        problem, values = fit_from_balances(problem, values, free, progress)
     done, point = fit_force(problem, values, free)
     if not np.isfinite(done.batch.P_0).all():
         raise InputError(

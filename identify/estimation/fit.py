@@ -62,34 +62,29 @@ def in_short(problem: Problem) -> Problem:
     return replace(problem, batch=thinned(problem.batch, most))
 
 
-def begin_pressures(
+def fit_from_balances(
     problem: Problem,
     values: Float[np.ndarray, "n"],
     free: Sequence[str],
     progress: Callable[[str], None] = lambda _: None,
-) -> Float[np.ndarray, "n"]:
-    """Where a fit of the pressures may begin: where that of the flow balances leads.
+) -> tuple[Problem, Float[np.ndarray, "n"]]:
+    """`fit_pressures` from where a fit of the flow balances leads.
 
-    Where a fit from there leaves a parameter at an end of its range, one from `values`
-    is tried too: balances see little of some (a volume, an opening), and may put them
-    where no replay comes back from.
+    Where that leaves a parameter at an end of its range, a fit from `values` is made
+    too, and the better one kept: balances see little of some (a volume, an opening),
+    and may put them where no replay comes back from.
     """
     few = in_short(problem)
     near = balanced(problem, values, free)
-    if near is values:
-        return values
-    first = fit_pressures(few, near, free)
-    if not stuck(problem, first[1], few.side(free, True)):
-        return first[1]
-    progress("fit from the rig file's own values too")
-    both = (first, fit_pressures(few, values, free))
-    noise = np.asarray(problem.batch.noise)
-    seen = np.isfinite(noise) & PRESSURES
-
-    def left(done: Problem, at: np.ndarray) -> float:
-        return float(np.sum((done.rms(done.errors_at(at))[seen] / noise[seen]) ** 2))
-
-    return min(both, key=lambda f: left(*f))[1]
+    best = _fit_these_pressures(few, near, free)
+    if near is not values and stuck(problem, best[1], few.side(free, True)):
+        progress("fit from the rig file's own values too")
+        other = _fit_these_pressures(few, values, free)
+        noise = only(np.asarray(problem.batch.noise), PRESSURES)
+        left = [np.sum((p.rms(p.errors_at(v)) / noise) ** 2) for p, v in (best, other)]
+        if left[1] < left[0] or not np.isfinite(left[0]):
+            best = other
+    return best if few is problem else _fit_these_pressures(problem, best[1], free)
 
 
 def fit_all(
@@ -158,7 +153,14 @@ def fit_pressures(
     """
     few = in_short(problem)
     if few is not problem:
-        values = fit_pressures(few, values, free)[1]
+        values = _fit_these_pressures(few, values, free)[1]
+    return _fit_these_pressures(problem, values, free)
+
+
+def _fit_these_pressures(
+    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
+) -> tuple[Problem, Float[np.ndarray, "n"]]:
+    """`fit_pressures` on all windows of the problem at once."""
     noise = only(np.asarray(problem.batch.noise), PRESSURES)
     gauges = gauge_names(problem.model.rig)
     own = problem.side(free, True)

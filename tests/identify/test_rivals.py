@@ -14,7 +14,9 @@ import pytest
 
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
+from hydrojax.identify.estimation import fit
 from hydrojax.identify.estimation.fit import FitPoint, fit_all
+from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.judge import better, may_rise, worsened
 from hydrojax.identify.tracing.rivals import exchanged, pruned, shed
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
@@ -119,6 +121,36 @@ def test_no_effect_may_bend_the_pressures_for_the_force(opened):
     after = before * (1 + rise * [1.0, 0.0, 0.0])  # 0.012 of the noise
     assert worsened(state, before, after, bent)
     assert not worsened(state, before, after, wide)
+
+
+@pytest.mark.parametrize(
+    "errors, chosen",
+    [((9.0, 1.0), "own"), ((1.0, 9.0), "near"), ((np.nan, 9.0), "own")],
+)
+def test_a_range_met_from_the_balances_is_fitted_from_the_rigs_own_values_too(
+    opened, monkeypatch, errors, chosen
+):
+    problem, _, free, _ = opened
+    own = problem.initial_values()
+    near, inside = own.copy(), own.copy()
+    near[problem.model.names.index("beta")] = problem.free["beta"].upper
+    inside[problem.model.names.index("beta")] *= 1.1
+    found = {"own": own, "near": near}
+    said: list[str] = []
+    monkeypatch.setattr(fit, "_fit_these_pressures", lambda p, v, _: (p, v))
+    monkeypatch.setattr(
+        Problem,
+        "errors_at",
+        lambda p, v: np.full((len(p.batch.P_0), 3), errors[0 if v is near else 1]),
+    )
+    monkeypatch.setattr(fit, "balanced", lambda *_: near)
+    _, at = fit.fit_from_balances(problem, own, free, said.append)
+    assert at is found[chosen] and len(said) == 1
+
+    # Where no end is met nothing else is tried.
+    monkeypatch.setattr(fit, "balanced", lambda *_: inside)
+    assert fit.fit_from_balances(problem, own, free, said.append)[1] is inside
+    assert len(said) == 1
 
 
 @pytest.mark.parametrize(
