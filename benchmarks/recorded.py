@@ -80,7 +80,8 @@ def _free_run(run, unit: str) -> str:
     """Error and skill of the run through whole logs."""
     if run is None or run.after is None:
         return "-"
-    return f"{run.after:.4g} {unit}, {run.skill:.4f}"
+    skill = "-" if run.skill is None else f"{run.skill:.4f}"
+    return f"{run.after:.4g} {unit}, {skill}"
 
 
 def _said(effect) -> str:

@@ -42,7 +42,7 @@ from hydrojax.identify.tracing.state import Tracing
 from hydrojax.jax_setup import cores
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
-from hydrojax.rigfile.build import build_rig, effects_of
+from hydrojax.rigfile.build import build_rig, effects_of, inverts
 from hydrojax.rigfile.edit import rewrite
 
 Progress = Callable[[str], None]
@@ -59,6 +59,8 @@ def applicable(case: Case) -> tuple[str, ...]:
     can = has & {"P_a1", "P_a2"}
     if case.fit.driven_by == "u":
         can.add("u")
+        if inverts(case.spec):
+            can.add("edges")
     if np.isfinite(case.fit.noise[2]):
         can.add("F")
         if "F" in has:

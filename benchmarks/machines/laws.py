@@ -76,6 +76,8 @@ class Parameters(NamedTuple):
     c_n2: Any
     u_dbp: Any  # share of full command
     u_dbn: Any
+    o_n1: Any  # overlap of an edge to the return beyond that of its partner
+    o_n2: Any
     omega: Any  # rad/s
     zeta: Any
     r_v: Any  # 1/s
@@ -142,7 +144,12 @@ def stiffness(pressure, beta, alpha):
 @register_jitable
 def opening(spool, p):
     """Opening of the edges at a spool position, 0 to 1: overlap, then notches."""
-    past = choose(spool > 0.0, spool - p.u_dbp, -spool - p.u_dbn)
+    return notched(choose(spool > 0.0, spool - p.u_dbp, -spool - p.u_dbn), p)
+
+
+@register_jitable
+def notched(past, p):
+    """Opening of an edge whose land is passed by so much of the spool's stroke."""
     share = np.maximum(past, 0.0)
     return share * (1.0 - p.k + p.k * share ** (p.p - 1.0))
 
@@ -211,15 +218,15 @@ def rates(s, p, u):
     port_1 = choose(p.has_line * (1.0 - p.holding) > 0.0, s.P_line, s.P_1)
     port_2 = choose(p.has_line * p.holding > 0.0, s.P_line, s.P_2)
 
-    # One edge feeds and one drains at a time: two roots and not four.
+    # One edge feeds at a time; both may drain, where one is open at centre.
     right = s.spool > 0.0
     area = opening(s.spool, p)
     fed = choose(right, port_1, port_2)
-    drained = choose(right, port_2, port_1)
     Q_in = area * choose(right, p.c_p1, p.c_p2) * metered_in(s.P_s, fed, p)
-    Q_out = area * choose(right, p.c_n2, p.c_n1) * root(drained - p.P_r, CORE)
-    Q_1 = choose(right, Q_in, -Q_out)
-    Q_2 = choose(right, -Q_out, Q_in)
+    out_1 = notched(-s.spool - p.u_dbn - p.o_n1, p) * p.c_n1
+    out_2 = notched(s.spool - p.u_dbp - p.o_n2, p) * p.c_n2
+    Q_1 = choose(right, Q_in, 0.0) - out_1 * root(port_1 - p.P_r, CORE)
+    Q_2 = choose(right, 0.0, Q_in) - out_2 * root(port_2 - p.P_r, CORE)
 
     Q_load = p.has_line * over_centre(load, s.P_pilot, s.P_line, p)
     Q_edge = choose(p.holding > 0.0, Q_2, Q_1)

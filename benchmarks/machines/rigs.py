@@ -35,6 +35,8 @@ RANGES: dict[str, tuple[str, float, float]] = {
     "counterbalance.V_line": ("m^3", 1e-4, 6e-3),
     "signal_filter.omega": ("rad/s", 3.2, 190.0),
     "signal_filter.zeta": ("", 0.3, 0.98),
+    "return_overlap.o_n1": ("", -0.4, 0.4),
+    "return_overlap.o_n2": ("", -0.4, 0.4),
     "internal_leakage.c_il": ("m^3/(s*Pa)", 0.0, 1e-10),
 }
 """Unit and ends of each range that does not depend on the machine."""

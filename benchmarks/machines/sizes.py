@@ -21,7 +21,10 @@ SOME = (
     "internal_leakage",
 )
 SHARE = 0.25
-"""Share of machines that have each of `SOME`."""
+"""Share of machines that have each of `SOME`, and of those after `LATER` whose edges
+to the return have overlaps of their own."""
+LATER = 49
+"""From this seed on they may: those before stay what they were."""
 
 ABSENT = {
     "r_v": 1e3,
@@ -38,6 +41,8 @@ ABSENT = {
     "V_line": 1.0,
     "tau_pilot": 1.0,
     "c_il": 0.0,
+    "o_n1": 0.0,
+    "o_n2": 0.0,
 }
 """Parameters of effects that a machine does not have. SI."""
 
@@ -90,6 +95,8 @@ def draw(seed: int, attempt: int = 0) -> Machine:
     """The machine of a seed; the next attempt's where a recording was no good."""
     rng = np.random.default_rng([2026, seed, attempt])
     has = [*EVERYWHERE, *(name for name in SOME if rng.random() < SHARE)]
+    if seed >= LATER and rng.random() < SHARE:
+        has.append("return_overlap")
     # So that thirds stay thirds over consecutive seeds, and redraws do not bend them.
     count = (0, 1, int(rng.integers(2, 4)))[seed % 3]
     left_out = tuple(sorted(str(n) for n in rng.choice(has, count, replace=False)))
@@ -216,6 +223,12 @@ def _some(rng, has, truth, values, speed) -> dict[str, float]:
             "omega": math.tau * _between(rng, 2.0, 10.0),
             "zeta": float(rng.uniform(0.6, 0.95)),
         }
+    if "return_overlap" in has:
+        # From open at centre to twice the partner's overlap.
+        dead = truth["valve_deadband"]
+        own["o_n1"] = dead["u_dbn"] * float(rng.uniform(-1.3, 1.0))
+        own["o_n2"] = dead["u_dbp"] * float(rng.uniform(-1.3, 1.0))
+        truth["return_overlap"] = {n: own[n] for n in ("o_n1", "o_n2")}
     if "internal_leakage" in has:
         rated = values["A_2"] * speed
         own["c_il"] = _between(rng, 0.01, 0.05) * rated / (100 * BAR)

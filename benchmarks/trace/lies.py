@@ -3,7 +3,8 @@
 `python -m benchmarks.trace.lies FOLDER` takes cases that were recorded before (the
 folders of `python -m benchmarks.trace --out`), tells lies of those in which nothing is
 hidden, and prints how many are called by their name; and of every case as it is, how
-often an input is blamed that is right.
+often an input is blamed that is right. With `--traced N` it traces N of these lies
+instead, and prints what the trace made of each.
 """
 
 from __future__ import annotations
@@ -133,24 +134,24 @@ def lies_of(layout: str, motion: str) -> list[Lie]:
     return out
 
 
-def named(checked: Any, lie: Lie) -> bool:
-    """Whether one of the findings of a `Checked` is the lie."""
+def named(found: Sequence[Any], lie: Lie) -> bool:
+    """Whether one of the findings is the lie."""
     return any(
         set(f.input.split(", ")) & set(lie.inputs) and f.finding in lie.findings
-        for f in checked.found
+        for f in found
     )
 
 
 # -- the table --
 
 
-def _case(folder: Path) -> tuple[str, list[Any]]:
-    """A recorded case's rig file, and its logs to fit."""
+def _case(folder: Path, style: str = "fit*") -> Told:
+    """A recorded case's rig file, and its logs to fit or of another style."""
     from hydrojax.logs.log import Log
     from hydrojax.rigfile.schema import RigFile
 
     rig = RigFile.load(folder / "rig.toml")
-    logs = [Log.load(p, rig.channels) for p in sorted(folder.glob("fit*.csv*"))]
+    logs = [Log.load(p, rig.channels) for p in sorted(folder.glob(f"{style}.csv*"))]
     return rig.text, logs
 
 
@@ -193,13 +194,91 @@ def honest(folders: Sequence[Path]) -> list[tuple[str, str, float]]:
     return rows
 
 
+def _lies(text: str, logs: Sequence[Any]) -> list[Lie]:
+    """Every lie of a case."""
+    motion = "x" if "x" in logs[0].signals else "psi"
+    layout = "pull-pull" if 'layout = "pull-pull"' in text else "differential"
+    return lies_of(layout, motion)
+
+
 def told(folder: Path) -> Iterator[tuple[Lie, Any]]:
     """Every lie of a case, and what `check` found."""
     text, logs = _case(folder)
-    motion = "x" if "x" in logs[0].signals else "psi"
-    layout = "pull-pull" if 'layout = "pull-pull"' in text else "differential"
-    for lie in lies_of(layout, motion):
+    for lie in _lies(text, logs):
         yield lie, _checked(*lie.told(text, logs))
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What the trace made of a lie.
+
+    Attributes:
+        case: the folder's name.
+        lie: its name.
+        named: whether an input is blamed that lies, for the right reason.
+        verdict: of the trace, or the line that refused it.
+        effects: the names it gave.
+        aliased: whether what it says of one of them names an input that lies.
+    """
+
+    case: str
+    lie: str
+    named: bool
+    verdict: str
+    effects: tuple[str, ...] = ()
+    aliased: bool = False
+
+    @property
+    def fooled(self) -> bool:
+        """Whether it ends well by an effect that is not there, and no word of the lie."""
+        alone = not (self.named or self.aliased)
+        return self.verdict == "explained" and bool(self.effects) and alone
+
+
+def traced(folders: Sequence[Path], number: int) -> Iterator[Traced]:
+    """Traces of so many lies, those of one case after those of the next by turns."""
+    import hydrojax as hj
+    from hydrojax.errors import InputError
+    from hydrojax.rigfile.schema import RigFile
+
+    for i in range(number):
+        folder = folders[i % len(folders)]
+        text, logs = _case(folder)
+        lies = _lies(text, logs)
+        # Every lie comes once before one comes twice.
+        lie = lies[i * 7 % len(lies)] if len(lies) % 7 else lies[i % len(lies)]
+        own, fit = lie.told(text, logs)
+        _, check = lie.told(text, _case(folder, "validate")[1])
+        try:
+            out = hj.trace(RigFile.from_text(own), fit, validate=check)
+        except InputError as error:
+            hit = any(name in str(error) for name in lie.inputs)
+            yield Traced(folder.name, lie.name, hit, f"refused: {error}")
+            continue
+        outcome = out.outcome
+        yield Traced(
+            folder.name,
+            lie.name,
+            named(outcome.inputs, lie),
+            outcome.verdict,
+            tuple(e.name for e in outcome.effects),
+            any(name in words for words in outcome.limits for name in lie.inputs),
+        )
+
+
+def _print_traced(rows: Iterator[Traced]) -> None:
+    done = []
+    for row in rows:
+        effects = ", ".join(row.effects) or "-"
+        blamed = "blamed" if row.named else "not blamed"
+        print(
+            f"{row.case}, {row.lie}: {blamed}, {row.verdict}, named {effects}",
+            flush=True,
+        )
+        done.append(row)
+    blamed, fooled = (sum(r.named for r in done), sum(r.fooled for r in done))
+    print(f"Of {len(done)} lies traced {blamed} are blamed; {fooled} end `explained`")
+    print("by an effect that is not there, without a word of the input that lies.")
 
 
 def main(
@@ -208,12 +287,18 @@ def main(
         bool, typer.Option(help="lies of cases that hide something, too")
     ] = False,
     most: Annotated[int, typer.Option(help="cases of which lies are told")] = 12,
+    to_trace: Annotated[
+        int, typer.Option("--traced", help="lies to trace, and nothing else")
+    ] = 0,
 ) -> None:
     """Print how many lies are called by name, and what is blamed wrongly."""
     from hydrojax.jax_setup import ensure_jax
 
     ensure_jax()
     places = sorted(p.parent for root in folder for p in root.rglob("rig.toml"))
+    if to_trace:
+        _print_traced(traced([p for p in places if _hidden(p)[1]], to_trace))
+        return
     rows = honest(places)
     blamed = [(name, wrong) for name, wrong, _ in rows if wrong]
     slow = sorted(spent for *_, spent in rows)
@@ -226,7 +311,7 @@ def main(
     missed: dict[str, list[str]] = {}
     for place in bare[:: max(len(bare) // most, 1)][:most]:
         for lie, found in told(place):
-            hit = named(found, lie)
+            hit = named(found.found, lie)
             score.setdefault(lie.name, []).append(hit)
             if not hit:
                 missed.setdefault(lie.name, []).append(place.name)

@@ -46,6 +46,7 @@ from hydrojax.effects.structure import (
 from hydrojax.effects.valve import (
     FlowCurve,
     OrificeTransition,
+    ReturnOverlap,
     Underlap,
     ValveBias,
     ValveDeadband,
@@ -84,6 +85,7 @@ EFFECTS: dict[str, type[Effect]] = {
         ValveBias,
         ValveDeadband,
         FlowCurve,
+        ReturnOverlap,
         OrificeTransition,
         Underlap,
         Counterbalance,

@@ -11,6 +11,7 @@ from hydrojax.plant.effect import (
     CommandChannel,
     CommandDelay,
     OrificeEffect,
+    ReturnEdgeEffect,
     Spool,
     SpoolLimit,
 )
@@ -215,6 +216,7 @@ class ValveDeadband(CommandChannel):
     """Overlap (V4): opening `max(u - u_dbp, 0)`, and `min(u + u_dbn, 0)` below zero."""
 
     name = "valve_deadband"
+    of_the_edges = True
     u_dbp: Float[Array, ""] = param(
         "{u}",
         0.0,
@@ -241,6 +243,29 @@ class ValveDeadband(CommandChannel):
         return memory, up + jnp.where(u < -self.u_dbn, u + self.u_dbn, 0.0)
 
 
+class ReturnOverlap(ReturnEdgeEffect):
+    """Overlap of each edge to the return, beyond that of the edge that opens with it
+    (V4, V5).
+
+    With `valve_deadband` these are the four overlaps of a valve: `u_dbp` and `u_dbn` of
+    the edges from the supply to chambers 1 and 2, `u_dbn + o_n1` and `u_dbp + o_n2` of
+    those from them to the return. One below zero is open at centre, to the return.
+    """
+
+    name = "return_overlap"
+    needs = ("u", "edges", "differential")
+    residual_axis = "u"
+    o_n1: Float[Array, ""] = param(
+        "{u}", 0.0, -5.0, 5.0, "overlap, chamber 1", strength=True, size=0.05
+    )
+    o_n2: Float[Array, ""] = param(
+        "{u}", 0.0, -5.0, 5.0, "overlap, chamber 2", strength=True, size=0.05
+    )
+
+    def overlap(self):
+        return self.o_n1, self.o_n2
+
+
 class FlowCurve(CommandChannel):
     """Opening that is a curve of the command, as its notches are cut (V9).
 
@@ -249,6 +274,7 @@ class FlowCurve(CommandChannel):
     """
 
     name = "flow_curve"
+    of_the_edges = True
     needs = ("u", "differential")
     residual_axis = "abs(u)"
     u_full: Float[Array, ""] = eqx.field(

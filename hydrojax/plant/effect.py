@@ -22,7 +22,8 @@ class Effect(eqx.Module):
 
     `name` is what files and reports call it; `place` is where in a rig it acts;
     `needs` what a log must have for it to show (signals, "loadcell" for a logged F, or
-    "differential" for a cylinder of two areas, as machines have);
+    "differential" for a cylinder of two areas, as machines have, "edges" for a valve
+    of four metering edges);
     `residual_axis` the signal against which its residual stands out.
     """
 
@@ -40,6 +41,9 @@ class CommandChannel(Effect):
     residual_axis = "u"
     counts_ticks: ClassVar[bool] = False
     """Whether its memory counts ticks, so that all must have one length."""
+    of_the_edges: ClassVar[bool] = False
+    """Whether it says how edges open, wherever the spool stands: return edges that
+    overlap more than the others see a spool that stands further back here."""
 
     def init(self, u: Float[Array, "*batch"]) -> Any:
         """Memory at rest under the command `u`."""
@@ -121,6 +125,22 @@ class OrificeEffect(Effect):
     def core(self) -> Float[Array, "*batch"] | float:
         """What is added to the square of the laminar core, Pa^2."""
         return 0.0
+
+
+class ReturnEdgeEffect(Effect):
+    """Lets the edges to the return open elsewhere than those from the supply.
+
+    `overlap() -> (o_1, o_2)` is by how much further the spool goes until chamber 1, and
+    chamber 2, opens to the return than until the edge that opens with it does, in the
+    command's unit. It acts behind the spool and ahead of all that is `of_the_edges`.
+    """
+
+    place = "returns"
+    needs = ("u",)
+
+    def overlap(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """By how much further, for chambers 1 and 2."""
+        raise NotImplementedError
 
 
 class LineEffect(Effect):

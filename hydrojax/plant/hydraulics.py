@@ -125,8 +125,8 @@ def follow_drops(
 def settled_drops(rig: Rig, at: Point, line: Lines) -> Lines:
     """The lines where what leaves the chambers has long left through the edges."""
     drops = []
-    a, b = sides(*at.opening) if len(at.opening) == 1 else at.opening
-    least = tuple(jnp.maximum(o, LEAKS) for o in (a, b))
+    opening = sides(*at.opening) if len(at.opening) == 1 else at.opening
+    least = tuple(jnp.maximum(o, LEAKS) for o in opening)
     q = rig.flows(at._replace(opening=least))[0]
     for P, Q, r in zip((at.P_a1, at.P_a2), q, rig.line_losses(line), strict=True):
         leaves = Q < 0

@@ -21,6 +21,7 @@ from hydrojax.plant.effect import (
     LevelEffect,
     LineEffect,
     OrificeEffect,
+    ReturnEdgeEffect,
     SensorChannel,
     SpeedEffect,
     StretchEffect,
@@ -72,6 +73,7 @@ PLACES: Mapping[str, Place] = MappingProxyType(
         place.name: place
         for place in (
             Place("command", CommandChannel, "step", hydraulic=True),
+            Place("returns", ReturnEdgeEffect, "overlap", (), hydraulic=True),
             Place("orifice", OrificeEffect, None, hydraulic=True),
             Place("supply", SupplyEffect, "drop", (3e-9, 9e6), hydraulic=True),
             Place("line", LineEffect, "loss", hydraulic=True, besides=("volume",)),

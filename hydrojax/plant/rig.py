@@ -38,6 +38,7 @@ class Rig(eqx.Module):
     force_area_1: Float[Array, ""]
     force_area_2: Float[Array, ""]
     command: tuple = ()
+    returns: tuple = ()
     orifice: tuple = ()
     supply: tuple = ()
     line: tuple = ()
@@ -65,10 +66,12 @@ class Rig(eqx.Module):
         u: Float[Array, "*batch"],
         h: Float[Array, "*batch"],
         parts: int = PARTS,
-    ) -> tuple[tuple, list[Float[Array, "*batch"]]]:
+    ) -> tuple[tuple, list[tuple[Float[Array, "*batch"], ...]]]:
         """The command's way to the spool over one tick, cut into `parts`.
 
-        Returns the memories and the spool's mean opening over each part.
+        Returns the memories, and for each part the spool's mean opening; where return
+        edges overlap otherwise, behind it as the edge from chamber 2, and that from
+        chamber 1, have it.
         """
         return self.command_through(memory, [u] * parts, h / parts)
 
@@ -77,19 +80,37 @@ class Rig(eqx.Module):
         memory: tuple,
         us: list[Float[Array, "*batch"]],
         h: Float[Array, "*batch"],
-    ) -> tuple[tuple, list[Float[Array, "*batch"]]]:
+    ) -> tuple[tuple, list[tuple[Float[Array, "*batch"], ...]]]:
         """The same for a command that differs from part to part, each `h` s long."""
         limits = [c for c in self.command if isinstance(c, SpoolLimit)]
         spools = [c for c in self.command if isinstance(c, Spool)]
         slowness = sum((c.slowness() for c in limits), start=jnp.zeros(()))
-        out = []
+        out, back = [], None
         for channel, m in zip(self.command, memory, strict=True):
+            if back is None and channel.of_the_edges:
+                back = self._at_returns(us)
             if isinstance(channel, Spool):
                 m, us = channel.parts(m, us, h, slowness)
             elif not (spools and isinstance(channel, SpoolLimit)):
+                if back is not None:
+                    back = [channel.parts(m, way, h)[1] for way in back]
                 m, us = channel.parts(m, us, h)
             out.append(m)
-        return tuple(out), us
+        back = self._at_returns(us) if back is None else back
+        return tuple(out), list(zip(us, *back, strict=True))
+
+    def _at_returns(
+        self, us: list[Float[Array, "*batch"]]
+    ) -> list[list[Float[Array, "*batch"]]]:
+        """Where the spool stands for the edges from chambers 2 and 1 to the return; none
+        where these open as the others do.
+        """
+        if not self.returns:
+            return []
+        one, two = (
+            sum(o) for o in zip(*(e.overlap() for e in self.returns), strict=True)
+        )
+        return [[u - two for u in us], [u + one for u in us]]
 
     def command_step(
         self, memory: tuple, u: Float[Array, "*batch"], h: Float[Array, "*batch"]
@@ -98,7 +119,7 @@ class Rig(eqx.Module):
 
         Returns the memories and the opening over the tick, as `Point` has it.
         """
-        if not self.command:
+        if not (self.command or self.returns):
             return (), (u,)
         memory, openings = self.command_parts(memory, u, h)
         return memory, mean_opening(openings)
@@ -115,7 +136,7 @@ class Rig(eqx.Module):
             memory, opening = self.command_step(memory, u, h)
             return memory, [opening]
         memory, spools = self.command_parts(memory, u, h, parts)
-        return memory, [(spool,) for spool in spools]
+        return memory, [s if len(s) == 1 else mean_opening([s]) for s in spools]
 
     def line_init(
         self, P_1: Float[Array, "*batch"], P_2: Float[Array, "*batch"]
@@ -312,14 +333,22 @@ class Rig(eqx.Module):
 
 
 def mean_opening(
-    spools: list[Float[Array, "*batch"]],
-) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """The openings toward either side, as `Point` has them, over all parts."""
-    open_p, open_n = sides(spools[0])
+    spools: list[tuple[Float[Array, "*batch"], ...]],
+) -> tuple[Float[Array, "*batch"], ...]:
+    """The openings, as `Point` has them, over all parts; `spools` as the rig has them."""
+    total = _edges(spools[0])
     for spool in spools[1:]:
-        p, n = sides(spool)
-        open_p, open_n = open_p + p, open_n + n
-    return open_p / len(spools), open_n / len(spools)
+        total = tuple(a + b for a, b in zip(total, _edges(spool), strict=True))
+    return tuple(a / len(spools) for a in total)
+
+
+def _edges(spool: tuple[Array, ...]) -> tuple[Array, ...]:
+    """How far the edges are open: toward either side, and those to the return."""
+    own, *back = spool
+    if not back:
+        return sides(own)
+    two, one = back
+    return (*sides(own), sides(two)[0], sides(one)[1])
 
 
 def add(rig: Rig, effects: Iterable[Effect]) -> Rig:

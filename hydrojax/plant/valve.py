@@ -144,7 +144,8 @@ class AbstractValve(eqx.Module):
         Args:
             at: pressures, opening and motion; every field has one shape, `*batch`.
                 `sides(*at.opening)`, or `at.opening` if it holds two, is the opening
-                toward either side, in the command's unit.
+                toward either side, in the command's unit. It holds more only under
+                effects of the return edges, which no other than `MeteringEdges` has.
             drops: effects ahead of the valve, each with `drop(conductance, available)`.
             orifices: effects of the edges, each with `opening(spool)` and `core()`.
         """
@@ -170,10 +171,13 @@ class MeteringEdges(AbstractValve):
         """
         if len(at.opening) == 1 and not orifices:
             return self._on_one_side(at, drops)
-        open_p, open_n = sides(*at.opening) if len(at.opening) == 1 else at.opening
+        opening = sides(*at.opening) if len(at.opening) == 1 else at.opening
+        open_p, open_n, *back = opening
+        back_p, back_n = back or (open_p, open_n)
         for edge in orifices:
             more_p, more_n = edge.opening(open_p - open_n)
             open_p, open_n = open_p + more_p, open_n + more_n
+            back_p, back_n = back_p + more_p, back_n + more_n
         wider = sum(edge.core() for edge in orifices)
 
         def root(drop):
@@ -185,7 +189,7 @@ class MeteringEdges(AbstractValve):
 
         q_1 = drawn(self.c_p1 * open_p, at.P_a1)
         q_2 = drawn(self.c_p2 * open_n, at.P_a2)
-        out_1, out_2 = self.c_n1 * open_n, self.c_n2 * open_p
+        out_1, out_2 = self.c_n1 * back_n, self.c_n2 * back_p
         q_1 = q_1 - out_1 * root(at.P_a1 - at.P_r)
         q_2 = q_2 - out_2 * root(at.P_a2 - at.P_r)
         return q_1, q_2

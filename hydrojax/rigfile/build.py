@@ -108,6 +108,11 @@ def build_rig(
     order = {name: i for i, name in enumerate(EFFECTS)}
     names = sorted(modules, key=lambda name: order.get(name, len(order)))
     rig = add(bare_rig(file.layout, file.geometry), [modules[n] for n in names])
+    if rig.returns and not inverts(file):
+        raise InputError(
+            f"{file.path}: {rig.returns[0].name} is of a valve with four metering "
+            f"edges, not of {type(file.valve).__name__}; delete the effect"
+        )
     if file.valve is not None:
         rig = eqx.tree_at(lambda r: r.valve, rig, file.valve)
     elif file.command_unit == "1" and file.layout.has_valve:

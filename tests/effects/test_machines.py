@@ -69,6 +69,60 @@ def test_a_flow_curve_is_whole_at_full_command(u_full):
     assert np.allclose(got, want, rtol=0, atol=1e-12 * u_full)
 
 
+LAPS = [
+    pytest.param(0.0, 0.0, 0.12, -0.05, id="no dead band"),
+    pytest.param(0.15, 0.1, 0.2, -0.06, id="closed at centre"),
+    pytest.param(0.15, 0.1, -0.16, -0.22, id="open at centre"),
+]
+
+
+@pytest.mark.parametrize(("u_dbp", "u_dbn", "o_n1", "o_n2"), LAPS)
+def test_four_edges_open_at_four_overlaps(u_dbp, u_dbn, o_n1, o_n2):
+    """Flows of four orifices, each open past its own land, through its notches."""
+    rig = add(
+        bare_rig(LAYOUTS["differential"], GEOMETRY),
+        [
+            EFFECTS["valve_deadband"](u_dbp=u_dbp, u_dbn=u_dbn),
+            EFFECTS["flow_curve"](k=0.5, p=2.0),
+            EFFECTS["return_overlap"](o_n1=o_n1, o_n2=o_n2),
+        ],
+    )
+
+    def edge(u, land):
+        past = max(u - land, 0.0)
+        return C * (0.5 * past + 0.5 * past**2)
+
+    P_1, P_2 = 5e6, 7e6
+    for u in np.linspace(-1, 1, 41):
+        memory = rig.command_init(jnp.asarray(u))
+        _, opening = rig.command_step(memory, jnp.asarray(u), jnp.asarray(0.01))
+        at = point(P_1, P_2, u)._replace(opening=opening)
+        q_1 = edge(u, u_dbp) * np.sqrt(P_S - P_1)
+        q_1 -= edge(-u, u_dbn + o_n1) * np.sqrt(P_1 - P_R)
+        q_2 = edge(-u, u_dbn) * np.sqrt(P_S - P_2)
+        q_2 -= edge(u, u_dbp + o_n2) * np.sqrt(P_2 - P_R)
+        got = rig.flows(at)[0]
+        assert np.allclose(got, [q_1, q_2], rtol=1e-6, atol=1e-16)
+
+
+def test_a_spool_that_runs_through_its_centre_opens_each_edge_for_its_share():
+    """Means over a tick in which a slow spool crosses every land, against many points."""
+    rig = add(
+        bare_rig(LAYOUTS["differential"], GEOMETRY),
+        [
+            EFFECTS["valve_rate_limit"](slew=1 / 40.0),
+            EFFECTS["valve_deadband"](u_dbp=0.1, u_dbn=0.1),
+            EFFECTS["return_overlap"](o_n1=-0.16, o_n2=0.05),
+        ],
+    )
+    memory = rig.command_init(jnp.asarray(0.5))
+    _, got = rig.command_step(memory, jnp.asarray(-0.4), jnp.asarray(0.02))
+    spool = np.linspace(0.5, -0.3, 4001)
+    lands = [spool - 0.1, -spool - 0.1, spool - 0.15, -spool + 0.06]
+    want = np.mean(np.maximum(lands, 0.0), axis=1)
+    assert np.allclose(got, want, rtol=0, atol=6e-3)
+
+
 def test_a_counterbalance_valve_opens_by_its_pilot():
     """Shut below its setting but for a leak; by thirds of its way; open."""
     effect = EFFECTS["counterbalance"](k_2=1.0, P_set=1.2e7, ratio=3.0, dP_full=9e6)

@@ -41,7 +41,7 @@ def test_a_lie_is_called_by_its_name(honest, name):
     rig, logs = honest
     text, lied = TOLD[name].told(rig.text, logs)
     found = hj.check(hj.RigFile.from_text(text), lied)
-    assert named(found, TOLD[name]), found.summary()
+    assert named(found.found, TOLD[name]), found.summary()
 
 
 @pytest.mark.parametrize("name", ["area +2%", "P_s +10%", "F turned round"])

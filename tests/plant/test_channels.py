@@ -199,7 +199,7 @@ def rigged(channels, u, h):
 
     def tick(memory, value):
         memory, means = rig.command_parts(memory, value, h)
-        return memory, jnp.mean(jnp.stack(means))
+        return memory, jnp.mean(jnp.stack([spool for (spool,) in means]))
 
     return jax.lax.scan(tick, rig.command_init(u[0]), u)[1]
 
