@@ -224,10 +224,12 @@ def _some(rng, has, truth, values, speed) -> dict[str, float]:
             "zeta": float(rng.uniform(0.6, 0.95)),
         }
     if "return_overlap" in has:
-        # From open at centre to twice the partner's overlap.
-        dead = truth["valve_deadband"]
-        own["o_n1"] = dead["u_dbn"] * float(rng.uniform(-1.3, 1.0))
-        own["o_n2"] = dead["u_dbp"] * float(rng.uniform(-1.3, 1.0))
+        # From open at centre, but for the chamber that holds the load, to twice the
+        # partner's overlap.
+        lands, least = truth["valve_deadband"], (-1.3, -0.8)
+        least_1, least_2 = least if values["holding"] else least[::-1]
+        own["o_n1"] = lands["u_dbn"] * float(rng.uniform(least_1, 1.0))
+        own["o_n2"] = lands["u_dbp"] * float(rng.uniform(least_2, 1.0))
         truth["return_overlap"] = {n: own[n] for n in ("o_n1", "o_n2")}
     if "internal_leakage" in has:
         rated = values["A_2"] * speed

@@ -64,6 +64,11 @@ KNOWN: dict[str, Known] = {
         "none on servo valves; most proportional spools with notches have one, with an exponent of 1.5 to 3",
         "It needs commands from small to full. Where only small ones are logged it is a smaller valve constant; a supply loss depends on flow and not on the command itself.",
     ),
+    "return_overlap": Known(
+        {"o_n1": 0.05, "o_n2": 0.05},
+        "within a few per cent of the stroke on servo valves; on mobile valves up to the whole dead band, and with edges open at centre where a counterbalance valve must close",
+        "The supply's edges stay as they are: what is missing grows with the pressure of the chamber that empties. Look at small commands under several loads.",
+    ),
     "orifice_transition": Known(
         {"dP_t2": (0.8e6) ** 2},
         "laminar below 0.01 to 0.3 MPa, more in cold oil",

@@ -49,6 +49,7 @@ SHAPES = {
 ALL = (0, 1, 2)
 REACH = {
     "command": ALL,
+    "returns": ALL,
     "orifice": ALL,
     "line": ALL,
     "supply": ALL,
@@ -111,6 +112,8 @@ ONE_SENSOR = {"pressure_sensor_bias.b_1": (0,), "pressure_sensor_bias.b_2": (1,)
 ONE_CHAMBER = {
     "dead_volume.V_01": (0, 2),
     "dead_volume.V_02": (1, 2),
+    "return_overlap.o_n1": (0, 2),
+    "return_overlap.o_n2": (1, 2),
     "counterbalance.k_1": (0, 2),
     "counterbalance.k_2": (1, 2),
 }
