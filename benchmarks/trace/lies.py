@@ -230,7 +230,7 @@ class Traced:
 
     @property
     def fooled(self) -> bool:
-        """Whether it ends well by an effect that is not there, and no word of the lie."""
+        """Whether it ends well by an effect that is not there, without a word of it."""
         alone = not (self.named or self.aliased)
         return self.verdict == "explained" and bool(self.effects) and alone
 

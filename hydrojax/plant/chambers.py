@@ -63,9 +63,10 @@ class Point(NamedTuple):
 
     `opening` is `(spool,)` where the spool stays on one side, or the means over the
     tick of its opening toward either side, both >= 0: a spool that crosses zero inside
-    a tick opens both. Where the edges to the return open elsewhere, these two are of the
-    edges from the supply, and behind them stand those of the edges from chamber 2, and
-    from chamber 1, to the return. `line` is what stands in the lines, where anything does.
+    a tick opens both. Where the edges to the return open elsewhere, these two are of
+    the edges from the supply, and behind them stand those of the edges from chamber 2,
+    and from chamber 1, to the return. `line` is what stands in the lines, where
+    anything does.
     """
 
     P_a1: Float[Array, "*batch"]

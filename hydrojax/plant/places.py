@@ -44,6 +44,7 @@ class Place:
         trial: arguments of `method` at which a user's effect is tried, SI, with nonzero
             values of everything; None where a call alone shows nothing.
         hydraulic: whether the chamber pressures depend on the effect.
+        opens: whether the edges' opening depends on the effect.
         gauge: whether the effect changes what the pressure sensors read.
         besides: what else an effect there must define.
     """
@@ -53,6 +54,7 @@ class Place:
     method: str | None
     trial: tuple | None = None
     hydraulic: bool = False
+    opens: bool = False
     gauge: bool = False
     besides: tuple[str, ...] = ()
 
@@ -72,8 +74,10 @@ PLACES: Mapping[str, Place] = MappingProxyType(
     {
         place.name: place
         for place in (
-            Place("command", CommandChannel, "step", hydraulic=True),
-            Place("returns", ReturnEdgeEffect, "overlap", (), hydraulic=True),
+            Place("command", CommandChannel, "step", hydraulic=True, opens=True),
+            Place(
+                "returns", ReturnEdgeEffect, "overlap", (), hydraulic=True, opens=True
+            ),
             Place("orifice", OrificeEffect, None, hydraulic=True),
             Place("supply", SupplyEffect, "drop", (3e-9, 9e6), hydraulic=True),
             Place("line", LineEffect, "loss", hydraulic=True, besides=("volume",)),
@@ -116,6 +120,12 @@ def hydraulic_names(rig: eqx.Module) -> frozenset[str]:
 def _of_the_logger(rig: eqx.Module, path: tuple) -> bool:
     place, *index = path
     return place == "sensor_P" and getattr(rig, place)[index[0]].of_the_logger
+
+
+def opening_names(rig: eqx.Module) -> tuple[str, ...]:
+    """Names of the parameters on which the edges' opening depends, in order."""
+    parts = {place.name for place in PLACES.values() if place.opens}
+    return tuple(name for name, path in paths(rig).items() if path[0] in parts)
 
 
 def gauge_names(rig: eqx.Module) -> frozenset[str]:

@@ -102,8 +102,8 @@ class Rig(eqx.Module):
     def _at_returns(
         self, us: list[Float[Array, "*batch"]]
     ) -> list[list[Float[Array, "*batch"]]]:
-        """Where the spool stands for the edges from chambers 2 and 1 to the return; none
-        where these open as the others do.
+        """Where the spool stands for the edges from chambers 2 and 1 to the return;
+        none where these open as the others do.
         """
         if not self.returns:
             return []
@@ -335,7 +335,7 @@ class Rig(eqx.Module):
 def mean_opening(
     spools: list[tuple[Float[Array, "*batch"], ...]],
 ) -> tuple[Float[Array, "*batch"], ...]:
-    """The openings, as `Point` has them, over all parts; `spools` as the rig has them."""
+    """The openings over all parts, as `Point` has them."""
     total = _edges(spools[0])
     for spool in spools[1:]:
         total = tuple(a + b for a, b in zip(total, _edges(spool), strict=True))

@@ -27,6 +27,7 @@ from hydrojax.identify.estimation.columns import (
     ParametricRig,
 )
 from hydrojax.parameters import get, put, specs
+from hydrojax.plant.places import opening_names
 from hydrojax.plant.replay import (
     Motion,
     Past,
@@ -139,11 +140,12 @@ def opened_along(
 ) -> tuple[Opened, OpenedBy]:
     """The spool's opening, and how it moves along hydraulic directions.
 
-    Only what the command passes through moves it: no other derivative is run, nor those
-    by what no direction moves. `ABREAST` of them run at once.
+    Only what the command passes through and the edges' lands move it: no other
+    derivative is run, nor those by what no direction moves. `ABREAST` of them run at
+    once.
     """
     here = put(model.rig, model.names[: model.hydraulic], values[: model.hydraulic])
-    names = tuple(f"{e.name}.{field}" for e in here.command for field in specs(e))
+    names = opening_names(here)
     opened, k = openings(here, w), hydraulic.shape[1]
     if not names or not k:
         return opened, jax.tree.map(lambda a: jnp.zeros((k, *a.shape)), opened)

@@ -106,7 +106,7 @@ def test_four_edges_open_at_four_overlaps(u_dbp, u_dbn, o_n1, o_n2):
 
 
 def test_a_spool_that_runs_through_its_centre_opens_each_edge_for_its_share():
-    """Means over a tick in which a slow spool crosses every land, against many points."""
+    """Means over a tick in which a slow spool crosses every land."""
     rig = add(
         bare_rig(LAYOUTS["differential"], GEOMETRY),
         [
