@@ -250,6 +250,7 @@ class ReturnOverlap(ReturnEdgeEffect):
     With `valve_deadband` these are the four overlaps of a valve: `u_dbp` and `u_dbn` of
     the edges from the supply to chambers 1 and 2, `u_dbn + o_n1` and `u_dbp + o_n2` of
     those from them to the return. One below zero is open at centre, to the return.
+    What `underlap` adds is taken where the edges from the supply stand, for all four.
     """
 
     name = "return_overlap"

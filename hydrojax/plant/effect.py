@@ -21,10 +21,10 @@ class Effect(eqx.Module):
     """What the paper's model lacks: absent, and alive, when its strengths are zero.
 
     `name` is what files and reports call it; `place` is where in a rig it acts;
-    `needs` what a log must have for it to show (signals, "loadcell" for a logged F, or
-    "differential" for a cylinder of two areas, as machines have, "edges" for a valve
-    of four metering edges);
-    `residual_axis` the signal against which its residual stands out.
+    `needs` what log and rig must have for it to show (signals, "loadcell" for a logged
+    F, "differential" for a cylinder of two areas, as machines have, "edges" for a valve
+    of four metering edges); `residual_axis` the signal against which its residual
+    stands out.
     """
 
     name: ClassVar[str]
@@ -132,7 +132,8 @@ class ReturnEdgeEffect(Effect):
 
     `overlap() -> (o_1, o_2)` is by how much further the spool goes until chamber 1, and
     chamber 2, opens to the return than until the edge that opens with it does, in the
-    command's unit. It acts behind the spool and ahead of all that is `of_the_edges`.
+    command's unit. It acts behind the spool and ahead of all that is `of_the_edges`;
+    what has a memory there remembers the way of the edges from the supply.
     """
 
     place = "returns"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hydrojax as hj
-from benchmarks.trace.lies import lies_of, named
+from benchmarks.trace.lies import Traced, lies_of, named
 from hydrojax.identify.checking.sensors import channel_table
 
 TRIED = (
@@ -54,6 +54,23 @@ def test_the_mend_is_the_lie_undone(honest, name):
     assert first.factor == pytest.approx(true, rel=5e-3)
     assert first.error is not None and first.error_if_mended is not None
     assert first.error_if_mended < 0.8 * first.error
+
+
+@pytest.mark.parametrize(
+    ("blamed", "verdict", "effects", "aliased", "fooled"),
+    [
+        (False, "explained", ("stribeck",), False, True),
+        (True, "explained", ("stribeck",), False, False),
+        (False, "explained", ("loadcell_gain",), True, False),
+        (False, "unknown", ("stribeck",), False, False),
+        (False, "refused: u [V]", (), False, False),
+    ],
+)
+def test_a_trace_is_fooled_that_ends_well_without_a_word(
+    blamed, verdict, effects, aliased, fooled
+):
+    row = Traced("nothing-0", "P_s +10%", blamed, verdict, effects, aliased)
+    assert row.fooled == fooled
 
 
 def test_an_area_is_named_with_its_alias(honest):

@@ -120,3 +120,12 @@ def test_a_fit_finds_its_parameters(rig, logs):
 def test_a_trace_misses_nothing(rig, logs):
     found = trace(rig, logs[:1], validate=logs[1:])
     assert found.verdict.startswith("nothing missing"), found.verdict
+
+
+def test_edges_that_the_valve_lacks_are_refused(rig):
+    """In one line, with the mend: its flows take two openings, and not four."""
+    tree = rig_dict() | {"effects": {"return_overlap": {"o_n1": "0.1 V"}}}
+    own = RigFile.from_dict(tree, valve=SharpEdges())
+    with pytest.raises(InputError, match="not of SharpEdges; delete the effect") as e:
+        build_rig(own)
+    assert "\n" not in str(e.value)
