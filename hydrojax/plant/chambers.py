@@ -49,13 +49,13 @@ class Lines(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """What a flow Q loses in the line of a chamber, over Q^2, Pa s^2/m^6.
-
-    `out` holds for what leaves the chamber, `into` for what enters it.
+    """What a flow Q loses in the line of a chamber: `out Q^2` where it leaves the
+    chamber, `into Q^2 + laminar Q` where it enters; Pa s^2/m^6, and Pa s/m^3.
     """
 
     out: Float[Array, "*batch"]
     into: Float[Array, "*batch"]
+    laminar: Float[Array, "*batch"]
 
 
 class Point(NamedTuple):

@@ -130,7 +130,7 @@ def settled_drops(rig: Rig, at: Point, line: Lines) -> Lines:
     q = rig.flows(at._replace(opening=least))[0]
     for P, Q, r in zip((at.P_a1, at.P_a2), q, rig.line_losses(line), strict=True):
         leaves = Q < 0
-        lost = jnp.where(leaves, r.out, r.into) * Q**2
+        lost = jnp.where(leaves, r.out * Q**2, r.into * Q**2 + r.laminar * abs(Q))
         head = jnp.maximum(jnp.where(leaves, P - at.P_r, at.P_s - P), 1.0)
         drops.append(jnp.where(leaves, 1, -1) * lost / (1 + lost / head))
     return line._replace(drop=tuple(drops))
@@ -139,13 +139,14 @@ def settled_drops(rig: Rig, at: Point, line: Lines) -> Lines:
 def _lost(
     losses: Losses, b: Float[Array, "*batch"], goal: Float[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
-    """The drop `r Q|Q|` of what leaves at which `r Q|Q| + b Q = goal`, Pa; negative
+    """The drop `r Q|Q| + a Q` of what leaves at which `drop + b Q = goal`, Pa; negative
     where oil enters.
     """
     leaves = goal > 0
     r, size = jnp.where(leaves, losses.out, losses.into), jnp.where(leaves, goal, -goal)
-    Q = 2 * size / (b + jnp.sqrt(b * b + 4 * r * size))
-    return jnp.where(leaves, 1, -1) * r * Q * Q
+    a = jnp.where(leaves, 0.0, losses.laminar)
+    Q = 2 * size / (a + b + jnp.sqrt((a + b) ** 2 + 4 * r * size))
+    return jnp.where(leaves, 1, -1) * Q * (r * Q + a)
 
 
 def _edges(rig: Rig, at: Point) -> tuple[tuple, tuple]:

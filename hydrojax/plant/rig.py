@@ -163,13 +163,14 @@ class Rig(eqx.Module):
 
     def line_losses(self, line: Lines) -> tuple[Losses, Losses]:
         """What flows lose in the lines of chambers 1 and 2."""
-        nothing = Losses(jnp.zeros(()), jnp.zeros(()))
-        one = two = nothing
+        one = two = Losses(*[jnp.zeros(())] * 3)
         for effect, memory in zip(self.line, line.memory, strict=True):
-            ways = zip(effect.loss(memory), effect.check(memory), strict=True)
+            ways = (
+                effect.loss(memory), effect.check(memory), effect.check_laminar(memory)
+            )  # fmt: skip
             one, two = (
-                Losses(r.out + out, r.into + into)
-                for r, (out, into) in zip((one, two), ways, strict=True)
+                Losses(*[a + b for a, b in zip(r, more, strict=True)])
+                for r, more in zip((one, two), zip(*ways, strict=True), strict=True)
             )
         return one, two
 
