@@ -18,6 +18,7 @@ from hydrojax.report.schema import report_schema
 from hydrojax.rigfile.controller import KEYS, PAPER, written_unit
 from hydrojax.rigfile.json_schema import KEY_MEANINGS, MEANINGS
 from hydrojax.rigfile.sections import GEOMETRY, LOAD, SUPPLY_UNITS
+from hydrojax.rigfile.valve import MEANINGS as VALVE
 
 
 def rig_file_page() -> str:
@@ -55,6 +56,8 @@ def _section(name: str) -> str:
                  g.description + ("; one value, or two bounds" if g.pair else ""))
                 for k, g in KEYS.items())  # fmt: skip
         return table(("key", "unit of a bare number", "default", "meaning"), rows)
+    if name == "valve":
+        return table(("key", "meaning"), ((f"`{k}`", m) for k, m in VALVE.items()))
     links = {
         "parameters": "[Every parameter](parameters.md). "
         '`beta = { start = "8e8 Pa", range = ["1e8 Pa", "3e9 Pa"] }`\n',

@@ -75,9 +75,9 @@ class Counterbalance(LineEffect):
     which comes with the lag `tau` of a damped pilot line: to the share
     `s = (P_i + ratio P_j - P_set) / dP_full`. Outflow Q loses `k_i Q^2 / s^2` in it,
     none at `k_i = 0` (no valve in the line of chamber i), and inflow loses
-    `k_i Q (check_loss Q + check_flow)` in its check valve, whose poppet has not opened
-    fully at a small flow. `V_line` of what a chamber holds lies between valve and edge,
-    at a pressure of its own.
+    `check_loss k_i Q sqrt(Q^2 + check_flow^2)` in its check valve, whose poppet has not
+    opened fully at a small flow. `V_line` of what a chamber holds lies between valve
+    and edge, at a pressure of its own.
     """
 
     name = "counterbalance"
@@ -106,8 +106,9 @@ class Counterbalance(LineEffect):
         "1", 0.0, 0.0, 10.0, "loss of what enters, over that when open", prior=1.0
     )
     check_flow: Float[Array, ""] = param(
-        "m^3/s", 0.0, 0.0, 1e-2, "flow that loses k_i Q^2 more as it enters", prior=3e-4
-    )
+        "m^3/s", 3e-4, 0.0, 1e-1, "flow that enters below which its loss is laminar",
+        prior=1e-3,
+    )  # fmt: skip
 
     def _opens(self, own, pilot):
         share = (own + self.ratio * pilot - self.P_set) / self.dP_full
@@ -135,8 +136,8 @@ class Counterbalance(LineEffect):
     def check(self, memory):
         return self.check_loss * self.k_1, self.check_loss * self.k_2
 
-    def check_laminar(self, memory):
-        return self.check_flow * self.k_1, self.check_flow * self.k_2
+    def check_laminar(self):
+        return self.check_flow
 
     def volume(self):
         return self.V_line, self.V_line

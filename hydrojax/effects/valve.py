@@ -295,6 +295,34 @@ class FlowCurve(CommandChannel):
         return memory, u * (1 + self.k * (curve - 1))
 
 
+def _numbers(rows) -> tuple[Float[Array, ""], ...]:
+    return tuple(jnp.asarray(row, float) for row in rows)
+
+
+class FlowTable(CommandChannel):
+    """Opening by a table of the command, straight between its rows, held beyond them.
+
+    A rig file's [valve] gives it; no trace adds it. `command` rises, and `opening` is
+    the command at which a linear valve opens as far.
+    """
+
+    name = "flow_table"
+    of_the_edges = True
+    command: tuple[Float[Array, ""], ...] = eqx.field(converter=_numbers)
+    opening: tuple[Float[Array, ""], ...] = eqx.field(converter=_numbers)
+
+    def step(self, memory, u, h):
+        at, opens = self.command, self.opening
+        rows = range(len(at) - 1)
+        slopes = [(opens[i + 1] - opens[i]) / (at[i + 1] - at[i]) for i in rows]
+        u = jnp.clip(u, at[0], at[-1])
+        out = opens[0] + slopes[0] * (u - at[0])
+        for i in rows[1:]:
+            bend = slopes[i] - slopes[i - 1]
+            out = out + bend * jnp.where(u > at[i], u - at[i], 0.0)
+        return memory, out
+
+
 class OrificeTransition(OrificeEffect):
     """Laminar flow below a drop `dP_t` (V10): `Q = c u d / (d^2 + dP_t^2)^(1/4)`.
 

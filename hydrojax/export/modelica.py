@@ -25,7 +25,7 @@ TYPES = {
 these have none: offsets and biases may be negative."""
 
 PREFIXES = {
-    "geometry": "", "supply": "", "parameters": "", "effects": "",
+    "geometry": "", "supply": "", "valve": "valve_", "parameters": "", "effects": "",
     "controller": "law_", "load": "load_", "sensors": "noise_",
 }  # fmt: skip
 """What a section's names open with: the rig and its law both have a `k_cp`."""
@@ -75,7 +75,7 @@ def _line(name: str, leaf: dict[str, Any]) -> str:
     description = ": ".join(part for part in (leaf.get("says"), f"[{unit}]") if part)
     if not leaf["given"]:
         description += ", default"
-    size = "[2]" if pair else ""
+    size = f"[{len(value)}]" if pair else ""
     return f"parameter {kind} {name}{size}{attribute} = {shown} {string(description)};"
 
 

@@ -40,6 +40,7 @@ def toml_of(spec: RigFile) -> str:
         ("supply", _quantities(spec.supply, pressures)),
         ("sensors", _quantities(spec.sensors, signal_units(spec))),
         ("load", _quantities(spec.output_load, LOAD)),
+        ("valve", _table(spec)),
         ("channels", _channels(spec)),
         ("parameters", _entries(spec.parameters)),
     )
@@ -96,6 +97,16 @@ def _quantity(value: float, unit: str) -> str:
 
 def _quantities(values: Mapping[str, float], wants: Mapping[str, str]) -> Tree:
     return {name: _quantity(value, wants[name]) for name, value in values.items()}
+
+
+def _table(spec: RigFile) -> Tree:
+    """The section [valve]; what compensates is among the effects."""
+    if spec.table is None:
+        return {}
+    return {"kind": "table"} | {
+        name: [_quantity(row, spec.command_unit) for row in rows]
+        for name, rows in spec.table._asdict().items()
+    }
 
 
 def _entries(entries: Mapping[str, Entry]) -> Tree:

@@ -64,6 +64,7 @@ def rig_tree(spec: RigFile) -> Tree:
             name: {"value": v, "unit": "Pa", "given": name in spec.supply}
             for name, v in spec.line.items()
         },
+        "valve": _table(spec),
         "parameters": _parameters(spec, rig),
         "effects": {
             name: _fields(rig, specs(EFFECTS[name]), entries, spec, f"{name}.")
@@ -130,6 +131,15 @@ def _given(values: dict[str, float], wants: dict[str, str]) -> Tree:
     return {
         name: {"value": value, "unit": wants[name], "given": True}
         for name, value in values.items()
+    }
+
+
+def _table(spec: RigFile) -> Tree:
+    """The columns of a flow table, where the valve has one."""
+    columns = spec.table._asdict() if spec.table else {}
+    return {
+        name: {"value": list(rows), "unit": spec.command_unit, "given": True}
+        for name, rows in columns.items()
     }
 
 

@@ -49,8 +49,10 @@ class Lines(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """What a flow Q loses in the line of a chamber: `out Q^2` where it leaves the
-    chamber, `into Q^2 + laminar Q` where it enters; Pa s^2/m^6, and Pa s/m^3.
+    """What a flow Q loses in the line of a chamber, over Q^2, Pa s^2/m^6.
+
+    `out` holds for what leaves the chamber, `into` for what enters it: there the loss
+    is laminar below a flow of `laminar`, m^3/s: `into Q sqrt(Q^2 + laminar^2)`.
     """
 
     out: Float[Array, "*batch"]

@@ -150,9 +150,9 @@ class LineEffect(Effect):
     `init(P_1, P_2)` is its memory after a long rest at these pressures,
     `step(memory, P_1, P_2, h)` that over a tick of length `h` that begins at them.
     What leaves chamber i as a flow Q loses `r_i Q^2` in it, `loss(memory)` being both
-    r_i. What enters loses as much by `check(memory)`, and `a_i Q` by
-    `check_laminar(memory)`. `volume()` is what lies between it and the edges, of what
-    the chambers hold in all.
+    r_i. What enters loses `r_i Q sqrt(Q^2 + q^2)`, by `check(memory)` and, for q,
+    `check_laminar()`. `volume()` is what lies between it and the edges, of what the
+    chambers hold in all.
     """
 
     place = "line"
@@ -180,11 +180,9 @@ class LineEffect(Effect):
         """Loss of what enters chambers 1 and 2 by its check valves, Pa s^2/m^6."""
         return jnp.zeros(()), jnp.zeros(())
 
-    def check_laminar(
-        self, memory
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Loss of a small flow that enters chambers 1 and 2, Pa s/m^3."""
-        return jnp.zeros(()), jnp.zeros(())
+    def check_laminar(self) -> Float[Array, "..."]:
+        """Flow below which the check valves' loss is laminar, m^3/s."""
+        return jnp.zeros(())
 
     def volume(self) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         """What the lines of chambers 1 and 2 hold between it and the edges, m^3."""

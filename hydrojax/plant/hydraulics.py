@@ -14,6 +14,9 @@ from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.valve import sides
 
+NEWTON = 3
+"""Steps in which the flow through a line is found."""
+
 LEAKS = 1e-3
 """Opening at which a spool that is shut passes as much as leaks along it: it drains a
 line behind a valve that is shut too."""
@@ -130,7 +133,8 @@ def settled_drops(rig: Rig, at: Point, line: Lines) -> Lines:
     q = rig.flows(at._replace(opening=least))[0]
     for P, Q, r in zip((at.P_a1, at.P_a2), q, rig.line_losses(line), strict=True):
         leaves = Q < 0
-        lost = jnp.where(leaves, r.out * Q**2, r.into * Q**2 + r.laminar * abs(Q))
+        into = r.into * abs(Q) * _rounded(Q, r.laminar)
+        lost = jnp.where(leaves, r.out * Q**2, into)
         head = jnp.maximum(jnp.where(leaves, P - at.P_r, at.P_s - P), 1.0)
         drops.append(jnp.where(leaves, 1, -1) * lost / (1 + lost / head))
     return line._replace(drop=tuple(drops))
@@ -139,14 +143,29 @@ def settled_drops(rig: Rig, at: Point, line: Lines) -> Lines:
 def _lost(
     losses: Losses, b: Float[Array, "*batch"], goal: Float[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
-    """The drop `r Q|Q| + a Q` of what leaves at which `drop + b Q = goal`, Pa; negative
-    where oil enters.
+    """The drop `r Q sqrt(Q^2 + q^2)` of what leaves at which `drop + b Q = goal`, Pa;
+    negative where oil enters.
+
+    Newton's method from the answer for `r Q (Q + q)`, which is near it, and exact where
+    q is 0: the drop is right to 1e-6 of itself.
     """
     leaves = goal > 0
     r, size = jnp.where(leaves, losses.out, losses.into), jnp.where(leaves, goal, -goal)
-    a = jnp.where(leaves, 0.0, losses.laminar)
-    Q = 2 * size / (a + b + jnp.sqrt((a + b) ** 2 + 4 * r * size))
-    return jnp.where(leaves, 1, -1) * Q * (r * Q + a)
+    q = jnp.where(leaves, 0.0, losses.laminar)
+    a = r * q + b
+    Q = 2 * size / (a + jnp.sqrt(a * a + 4 * r * size))
+    for _ in range(NEWTON):
+        root = _rounded(Q, q)
+        slope = r * (root + Q * Q / root) + b
+        Q = Q - (r * Q * root + b * Q - size) / slope
+    return jnp.where(leaves, 1, -1) * r * Q * _rounded(Q, q)
+
+
+def _rounded(
+    Q: Float[Array, "*batch"], q: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """`sqrt(Q^2 + q^2)`; its derivative exists at no flow too."""
+    return jnp.sqrt(Q * Q + q * q + 1e-24)
 
 
 def _edges(rig: Rig, at: Point) -> tuple[tuple, tuple]:

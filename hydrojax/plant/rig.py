@@ -165,12 +165,11 @@ class Rig(eqx.Module):
         """What flows lose in the lines of chambers 1 and 2."""
         one = two = Losses(*[jnp.zeros(())] * 3)
         for effect, memory in zip(self.line, line.memory, strict=True):
-            ways = (
-                effect.loss(memory), effect.check(memory), effect.check_laminar(memory)
-            )  # fmt: skip
+            ways = zip(effect.loss(memory), effect.check(memory), strict=True)
+            q = effect.check_laminar()
             one, two = (
-                Losses(*[a + b for a, b in zip(r, more, strict=True)])
-                for r, more in zip((one, two), zip(*ways, strict=True), strict=True)
+                Losses(r.out + out, r.into + into, jnp.maximum(r.laminar, q))
+                for r, (out, into) in zip((one, two), ways, strict=True)
             )
         return one, two
 

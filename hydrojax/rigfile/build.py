@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from hydrojax.control.loop import Loop, Sensors
 from hydrojax.effects import EFFECTS, offered
-from hydrojax.effects.valve import LONGEST, ValveDelay
+from hydrojax.effects.valve import LONGEST, FlowTable, ValveDelay
 from hydrojax.errors import InputError
 from hydrojax.parameters import get, put
 from hydrojax.plant.effect import CommandChannel, Effect
@@ -107,7 +107,10 @@ def build_rig(
     modules |= _own(added, modules)
     order = {name: i for i, name in enumerate(EFFECTS)}
     names = sorted(modules, key=lambda name: order.get(name, len(order)))
-    rig = add(bare_rig(file.layout, file.geometry), [modules[n] for n in names])
+    found = [modules[n] for n in names]
+    if file.table is not None:
+        found.append(FlowTable(*file.table))
+    rig = add(bare_rig(file.layout, file.geometry), found)
     if rig.returns and not inverts(file):
         raise InputError(
             f"{file.path}: {rig.returns[0].name} is of a valve with four metering "

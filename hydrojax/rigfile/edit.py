@@ -10,10 +10,12 @@ from tomlkit.items import InlineTable, Table
 
 from hydrojax import units
 from hydrojax.effects import EFFECTS
+from hydrojax.effects.fluid import PressureCompensation
 from hydrojax.parameters import Spec, specs
 from hydrojax.rigfile.plain import text
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.rigfile.sections import Entry
+from hydrojax.rigfile.valve import MARGIN
 
 Values = Mapping[str, float]
 
@@ -56,6 +58,7 @@ def rewrite(
             value = values.get(prefix + field, s.default)
             if field not in spec.effects[section] and value != s.default:
                 fields[field] = _entry(value, s, spec.command_unit)
+    _rewrite_margin(document, spec, values)
     if added:
         effects = document.setdefault("effects", tomlkit.table(is_super_table=True))
         for effect in added:
@@ -91,7 +94,24 @@ def _tables(document, spec: RigFile):
     if "parameters" in document:
         yield "", document["parameters"], spec.base
     for effect in spec.effects:
-        yield effect, document["effects"][effect], specs(EFFECTS[effect])
+        if effect in document.get("effects", {}):
+            yield effect, document["effects"][effect], specs(EFFECTS[effect])
+
+
+def _rewrite_margin(document, spec: RigFile, values: Values) -> None:
+    """The margin of a valve that [valve] calls compensated."""
+    name, known = PressureCompensation.name, specs(PressureCompensation)[MARGIN]
+    if name not in spec.effects or name in document.get("effects", {}):
+        return
+    given, valve = spec.effects[name].get(MARGIN), document["valve"]
+    old = given.start if given else known.default
+    value = values.get(f"{name}.{MARGIN}", old)
+    if value == old:
+        return
+    if given:
+        _set(valve, "margin", value, known, False, spec.command_unit)
+    else:
+        valve["margin"] = _entry(value, known, spec.command_unit)
 
 
 def _field(key: str, known: Mapping[str, Spec]) -> tuple[str, bool]:

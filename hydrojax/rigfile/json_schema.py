@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from hydrojax.effects import EFFECTS
+from hydrojax.effects.fluid import PressureCompensation
 from hydrojax.logs.tables import SIGNALS, Channel
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.layout import LAYOUTS
+from hydrojax.rigfile import valve
 from hydrojax.rigfile.controller import KEYS, KIND, KINDS, written_unit
 from hydrojax.rigfile.other_controllers import OTHERS
 from hydrojax.rigfile.sections import (
@@ -29,6 +31,7 @@ MEANINGS: Mapping[str, str] = {
     "load cell, no drive.",
     "geometry": "Known sizes; a tolerance may follow: 1.18e-3 m^2 +- 1 %.",
     "supply": "Pressures where the log has no such channel.",
+    "valve": "The kind of the valve; without this section its edges are orifices.",
     "sensors": "Standard deviation of the noise, where it is known.",
     "load": "A force F known without a sensor, or the inertia of closed-loop runs and "
     "of a motion that is predicted.",
@@ -82,6 +85,7 @@ def rig_schema() -> dict[str, Any]:
             said = "what is an output of the model, and not given by the log"
             entries["predicts"] = {"enum": list(PREDICTED), "description": said}
         sections[section] |= object_schema(entries)
+    sections["valve"] |= object_schema(_valve())
     out.pop("$defs", None)
     channel = Channel.model_json_schema() | {"description": "the signal's column"}
     sections["channels"] |= object_schema(dict.fromkeys(SIGNALS, channel))
@@ -104,6 +108,20 @@ def rig_schema() -> dict[str, Any]:
     }
     sections["controller"] |= object_schema({KIND: named} | gains)
     return out
+
+
+def _valve() -> dict[str, Any]:
+    """The keys of [valve]."""
+    column = {
+        "type": "array", "items": {"type": ["string", "number"]},
+        "minItems": 2, "maxItems": valve.MOST,
+    }  # fmt: skip
+    margin = parameters({"margin": specs(PressureCompensation)[valve.MARGIN]})
+    kinds = {"kind": {"enum": list(valve.KINDS)}, "command": column, "opening": column}
+    return {
+        key: (kinds | margin)[key] | {"description": said}
+        for key, said in valve.MEANINGS.items()
+    }
 
 
 def object_schema(entries: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
     "geometry": GEOMETRY,
     "supply": SUPPLY_UNITS,
     "load": LOAD,
+    "valve": {"margin": "Pa"},
     "sensors": SIGNALS,
 }
 

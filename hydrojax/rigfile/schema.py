@@ -14,6 +14,7 @@ from hydrojax.logs.tables import SIGNALS, Channel
 from hydrojax.parameters import Spec
 from hydrojax.plant.layout import LAYOUTS, Layout
 from hydrojax.plant.valve import AbstractValve, NoValve
+from hydrojax.rigfile import valve as valves
 from hydrojax.rigfile.plain import to_text
 from hydrojax.rigfile.sections import (
     GEOMETRY,
@@ -63,6 +64,8 @@ class RigFile:
         path: the file; what opens the line of an error.
         tolerances: standard deviations with which geometry and supply are known, by
             key, SI; those of parameters are in their entries.
+        table: how far the edges open at each command, where [valve] has a table; of a
+            compensated valve there is `pressure_compensation` among the effects.
         text: the TOML that all of this was read from.
     """
 
@@ -82,6 +85,7 @@ class RigFile:
     valve: AbstractValve | None = None
     tolerances: dict[str, float] = field(default_factory=dict)
     predicts: str = ""
+    table: valves.Table | None = None
     text: str = field(default="", repr=False, compare=False)
 
     @classmethod
@@ -246,6 +250,9 @@ def read_rig(
         name: givens(f"{path}: [effects.{name}]", table, effects[name])
         for name, table in file.effects.items()
     }
+    kind = valves.check_valve(path, file.valve, layout)
+    if kind == "compensated":
+        added |= valves.compensation(path, file.valve, file.effects)
     command = unit_of_command([*base, *(g for gs in added.values() for g in gs)])
     sensed = _sensor_units(command)
     geometry, own = _with_tolerances(f"{path}: [geometry]", file.geometry, GEOMETRY)
@@ -269,6 +276,7 @@ def read_rig(
         path=path,
         tolerances=own | also,
         predicts=file.load.get("predicts", ""),
+        table=valves.table_of(path, file.valve, command) if kind == "table" else None,
         text=text,
     )
     _check(spec)

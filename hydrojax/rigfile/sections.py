@@ -67,6 +67,7 @@ class Sections(BaseModel):
     layout: Annotated[str, AfterValidator(_known_layout)]
     geometry: dict[str, Any] = {}
     supply: dict[str, Any] = {}
+    valve: dict[str, Any] = {}
     sensors: dict[str, Any] = {}
     load: dict[str, Any] = {}
     channels: dict[str, Channel] = {}

@@ -628,7 +628,6 @@ def full(rig):
     new["counterbalance.P_set"] = 1.9e7
     new["counterbalance.V_line"] = 2e-5
     new["counterbalance.check_loss"] = 0.2
-    new["counterbalance.check_flow"] = 1e-5
     # Slower than the spool that it limits would move at times.
     new["valve_rate_limit.slew"] = 0.011
     return put(rig, list(new), list(new.values()))

@@ -194,17 +194,16 @@ def boom(t, state, u, s, check, laminar):
     q_edge = down * drawn(P_S - edge) - up * flow(edge - P_R)
     share = np.clip((P_2 + 2.8 * pilot - 1.2e7) / 1.8e7, 1e-3, 1.0)
 
-    def through(drop, k):
+    def through(drop, k, Q_0=1e-6):
         """By `drop = k Q sqrt(Q^2 + Q_0^2)`."""
-        ratio, Q_0 = drop / k, 1e-6
+        ratio = drop / k
         return ratio / np.sqrt(0.5 * Q_0**2 + np.sqrt(0.25 * Q_0**4 + ratio**2))
 
     # Out through the valve; in through its check valve.
     out = through(P_2 - edge, VALVE["k_2"] / share**2)
     if edge > P_2:
-        slow, rise = laminar * VALVE["k_2"], check * VALVE["k_2"]
-        root = np.sqrt(slow**2 + 4 * rise * (edge - P_2))
-        out = -2 * (edge - P_2) / max(slow + root, 1e6)
+        free = 1e-6 * (P_2 - edge)
+        out = through(P_2 - edge, check * VALVE["k_2"], laminar) if check else free
     half, x, v = CYLINDER["chamber_length"] / 2, place(t), speed(t)
     V_1 = CYLINDER["area_1"] * (half - x)
     V_2 = CYLINDER["area_2"] * (half + x) - VALVE["V_line"]
@@ -219,14 +218,14 @@ def boom(t, state, u, s, check, laminar):
 @pytest.mark.parametrize(
     ("h", "off", "s", "check", "laminar"),
     [
-        (1e-2, 0.003, 0.0, 0.0, 0.0),
-        (2e-3, 6e-4, 0.0, 0.0, 0.0),
-        (1e-2, 0.005, 1.3, 0.0, 0.0),
-        (2e-3, 6e-4, 1.3, 0.0, 0.0),
-        (1e-2, 0.003, 0.0, 0.4, 0.0),
-        (2e-3, 6e-4, 0.0, 3.0, 0.0),
+        (1e-2, 0.003, 0.0, 0.0, 1e-6),
+        (2e-3, 6e-4, 0.0, 0.0, 1e-6),
+        (1e-2, 0.005, 1.3, 0.0, 1e-6),
+        (2e-3, 6e-4, 1.3, 0.0, 1e-6),
+        (1e-2, 0.003, 0.0, 0.4, 1e-6),
+        (2e-3, 6e-4, 0.0, 3.0, 1e-6),
         (1e-2, 0.003, 0.0, 0.4, 1e-3),
-        (2e-3, 6e-4, 0.0, 0.0, 1e-3),
+        (2e-3, 6e-4, 0.0, 3.0, 5e-4),
     ],
 )
 def test_a_line_behind_a_counterbalance_valve_keeps_its_pressure(
@@ -239,9 +238,7 @@ def test_a_line_behind_a_counterbalance_valve_keeps_its_pressure(
         bare_rig(LAYOUTS["differential"], CYLINDER),
         [
             EFFECTS["pressure_compensation"](s=s, dP_0=MARGIN),
-            EFFECTS["counterbalance"](
-                **VALVE, check_loss=check, check_flow=laminar
-            ),
+            EFFECTS["counterbalance"](**VALVE, check_loss=check, check_flow=laminar),
         ],
     )
     rig = put(rig, ["c_p1", "c_n1", "c_p2", "c_n2", "beta"], [EDGE] * 4 + [BETA])
@@ -270,7 +267,7 @@ def test_a_line_behind_a_counterbalance_valve_keeps_its_pressure(
     want = np.array(want)[1:, :3]
     parts = want[:, 1] - want[:, 2]
     assert np.max(parts) > 2e6  # the line does part
-    assert np.min(parts) <= -1e5 * max(check, laminar * 1e3)
+    assert np.min(parts) <= -1e5 * check
     error = np.sqrt(np.mean((got - want) ** 2, axis=0)) / np.ptp(want, axis=0)
     assert np.all(error < off)
 
@@ -294,7 +291,7 @@ def test_a_flow_that_rises_with_pressure_leaves_a_line_an_answer():
         at = point(*P, -1.0)._replace(line=line)
         moved = (jnp.asarray(1e5), jnp.asarray(1e6))
         drops = follow_drops(rig, at, line, jnp.asarray(0.01), moved).drop
-        assert np.all(np.isfinite(np.array(drops))) and min(drops) >= 0
+        assert np.all(np.isfinite(np.array(drops))) and min(drops) > -1e-6
 
 
 @pytest.mark.parametrize(("omega", "zeta"), [(6.0, 0.8), (40.0, 0.5), (125.0, 0.95)])

@@ -274,6 +274,10 @@ LAYOUTS = {
     "single": 'layout = "single"\n[geometry]\narea = "1.2e-3 m^2"\n'
     'chamber_length = "0.2 m"\n',
     "driven-axis": 'layout = "driven-axis"\n',
+    "flow table": 'layout = "differential"\n[geometry]\narea_1 = "50 cm^2"\n'
+    'area_2 = "34 cm^2"\nchamber_length = "0.59 m"\n[valve]\nkind = "table"\n'
+    'command = ["-10 V", "-1 V", "0.5 V", "4 V"]\n'
+    'opening = ["-9 V", "0 V", "0 V", "2 V"]\n',
     "tester": 'layout = "tester"\n[parameters]\nk_cp = "20 N"\nk_cn = "30 N"\n',
 }
 

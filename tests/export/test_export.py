@@ -50,6 +50,11 @@ F = "2.5 N"
 [channels]
 u = { column = "MainU", unit = "1", invert = true }
 
+[valve]
+kind = "table"
+command = [-1, -0.1, 0.2, 0.5, 1]
+opening = ["-1", "0", "0", "0.25", "1"]
+
 [load]
 mass = "0.15 t"
 
@@ -148,7 +153,7 @@ def test_toml_reads_back_as_the_same_rig(text, tmp_path):
     same = replace(again, path=spec.path, controller=spec.controller)
     assert same == spec
     laws = [jax.tree.leaves(build_loop(s)) for s in (spec, again)]
-    assert all(bool(a == b) for a, b in zip(*laws, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(*laws, strict=True))
 
 
 def test_toml_has_the_quantities_of_the_file_in_si(tmp_path):
@@ -167,6 +172,7 @@ def test_toml_has_the_quantities_of_the_file_in_si(tmp_path):
     assert registry(lag["start"]).magnitude == pytest.approx(1 / 1257, rel=1e-15)
     assert registry(lag["range"][1]).magnitude == pytest.approx(1 / 300, rel=1e-15)
     assert made["channels"] == given["channels"]
+    assert [float(u) for u in made["valve"]["command"]] == given["valve"]["command"]
 
 
 # -- json, mat, modelica: one tree --
@@ -272,6 +278,7 @@ def test_modelica_parses_to_the_same_numbers(text, tmp_path):
     symbols, tree = record_.symbols, json.loads(one(spec, "json"))
     expected = {
         **tree["geometry"], **tree["supply"], **tree["parameters"],
+        **{f"valve_{n}": q for n, q in tree["valve"].items()},
         **{f"law_{n}": q for n, q in tree["controller"].items()},
         **{f"load_{n}": q for n, q in tree["load"].items()},
         **{f"noise_{n}": q for n, q in tree["sensors"].items()},
