@@ -13,6 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from hydrojax.identify.case import Case, LogSource, read
+from hydrojax.identify.discovery.catalogue import keep
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.report.figures import every_parameter, judged
@@ -238,6 +239,24 @@ class Result:
             OSError: it cannot be written.
         """
         write_report(self.outcome, Path(folder), command_line)
+
+    def keep(self, catalogue: str | Path) -> Path | None:
+        """Add the curves that this trace names to a folder of effects, so that the next
+        trace searches them: `load_effects(catalogue)`, or `trace --catalogue`.
+
+        Args:
+            catalogue: is made where there is none; what is in it stays as it is.
+
+        Returns:
+            The file that holds them, each under its name behind the rig's; None where
+            the trace names none.
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
+        named = {e.name for e in self.outcome.effects}
+        own = [c for c in self.outcome.curves if c.name in named]
+        return keep(Path(catalogue), self.outcome.rig, own) if own else None
 
     def __repr__(self) -> str:
         o = self.outcome

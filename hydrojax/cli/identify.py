@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hydrojax.cli.options import (
+    Catalogue,
     Discover,
     Effects,
     FailOn,
@@ -31,6 +32,7 @@ from hydrojax.cli.options import (
     check_verdicts,
     command_line,
     console,
+    load_catalogue,
     load_effects,
     show_progress,
 )
@@ -142,6 +144,7 @@ def trace(
     level: Level = 0.01,
     profile: Profile = False,
     discover: Discover = False,
+    catalogue: Catalogue = None,
     effects: Effects = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -152,6 +155,7 @@ def trace(
     check_report(context, out)
     set_up_jax(user_cache())
     load_effects(effects)
+    load_catalogue(catalogue)
     from hydrojax import api
     from hydrojax.identify.tracing.criteria import Criteria
 
@@ -163,6 +167,9 @@ def trace(
         )  # fmt: skip
         if discover and result.verdict == "unknown":
             result = _discovered(context, result, out, starts, profile, progress)
+    kept = result.keep(catalogue) if catalogue is not None else None
+    if kept is not None and not (quiet or json):
+        console.print(f"kept in {kept}", soft_wrap=True)
     _finish(context, result, out, json, quiet, failing)
 
 

@@ -49,6 +49,14 @@ Discover = Annotated[
         "my_effects.py, and trace again with them.",
     ),
 ]
+Catalogue = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of effects that were found before: searched too. What --discover "
+        "finds, and the trace then names, is added to it.",
+        show_default=False,
+    ),
+]
 Effects = Annotated[
     list[Path] | None,
     typer.Option(
@@ -194,11 +202,17 @@ def load_effects(files: list[Path] | None) -> None:
     from hydrojax.effects import load_effects
 
     for path in files or ():
-        own = sorted(path.glob("*.py")) if path.is_dir() else [path]
-        if not own:
-            raise InputError(
-                f"{path}: holds no Python file with effects; name another with "
-                "--effects"
-            )
-        for file in own:
-            load_effects(file)
+        load_effects(path)
+
+
+def load_catalogue(folder: Path | None) -> None:
+    """Take the effects of a catalogue into the vocabulary; it may be empty yet.
+
+    Raises:
+        InputError: it is no folder, or see `hydrojax.effects.load_effects`.
+    """
+    if folder is None:
+        return
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file: name a folder with --catalogue")
+    load_effects(sorted(folder.glob("*.py")))

@@ -55,6 +55,7 @@ from hydrojax.effects.valve import (
     ValveLag,
     ValveRateLimit,
 )
+from hydrojax.errors import InputError
 from hydrojax.parameters import param
 from hydrojax.plant.effect import (
     CommandChannel,
@@ -154,16 +155,26 @@ def load_effects(path: str | Path) -> dict[str, type[Effect]]:
     """Add the effects that a Python file defines; it may be read again.
 
     Args:
-        path: of the file; every class in it that derives from an effect is taken.
+        path: of the file, or of a folder of such files; every class in it that derives
+            from an effect is taken.
 
     Returns:
-        The file's effects, by name.
+        Its effects, by name.
 
     Raises:
-        InputError: the file cannot be read or run, defines no effect, or one that
-            cannot be taken; in one line, with the mend.
+        InputError: a file cannot be read or run, defines no effect, or one that cannot
+            be taken; a folder without any; in one line, with the mend.
     """
-    return registry.load_effects(path, EFFECTS)
+    path = Path(path)
+    files = sorted(path.glob("*.py")) if path.is_dir() else [path]
+    if not files:
+        raise InputError(
+            f"{path}: holds no Python file with effects; name another with --effects"
+        )
+    found: dict[str, type[Effect]] = {}
+    for file in files:
+        found |= registry.load_effects(file, EFFECTS)
+    return found
 
 
 @cache

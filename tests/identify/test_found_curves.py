@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 from unittest.mock import Mock
 
 import jsonschema
@@ -12,6 +13,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hydrojax import api
+from hydrojax.cli.options import load_catalogue
 from hydrojax.cli.options import load_effects as take
 from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.effects.splines import knots_over
@@ -240,3 +242,49 @@ def test_units_over_units():
     assert over("N", "m/s^2", 2) == "N*s^4/m^2"
     assert over("m^3/(s*{u})", "Pa", 1) == "m^3/{u}/Pa/s"
     assert over("{u}", "{u}", 1) == "1"
+
+
+def named(curve: FoundCurve, rig: str) -> Result:
+    """A trace of a rig that names the curve."""
+    errors = ({"F": 14.0}, {"F": 2.6})
+    effect = FoundEffect(curve.name, {}, 1e-9, *errors, (), "v")
+    return Result(replace(outcome(curve), rig=rig, effects=(effect,)), Mock())
+
+
+def test_what_is_kept_is_searched_next_time(tmp_path, vocabulary):
+    """Two rigs and one twice: each its own file and name, with the law unchanged."""
+    folder = tmp_path / "found" / "effects"
+    curve = found(law("free_level_v", bell()))
+    rigs = ("Crane 7, boom", "2nd crane", "Crane 7, boom")
+    kept = [named(curve, rig).keep(folder) for rig in rigs]
+    assert [path.name for path in kept] == [
+        "crane_7_boom.py", "rig_2nd_crane.py", "crane_7_boom_2.py"
+    ]  # fmt: skip
+    assert sorted(folder.iterdir()) == sorted(kept)
+    first = load_effects(kept[0])
+    again = named(curve, "Crane 7, boom").keep(folder)
+    every: dict[str, Any] = {
+        **first, **load_effects(kept[1]), **load_effects(again)
+    }  # fmt: skip
+    assert list(every) == [
+        "crane_7_boom_free_level_v", "rig_2nd_crane_free_level_v",
+        "crane_7_boom_free_level_v_2",
+    ]  # fmt: skip
+    for kind in every.values():
+        got = float(kind(a_1=120.0, s_0=4e-3).level(sliding(v=3e-3), 900.0))
+        assert got == pytest.approx(120 * np.exp(-((3 / 4) ** 2)), rel=1e-6)
+
+
+def test_a_curve_that_the_trace_does_not_name_is_not_kept(tmp_path):
+    curve = found(law("free_level_v", bell()))
+    assert Result(outcome(curve), Mock()).keep(tmp_path / "found") is None
+    assert not (tmp_path / "found").exists()
+
+
+def test_a_catalogue_that_cannot_be(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file: name a folder with --catalogue"):
+        load_catalogue(tmp_path / "file")
+    with pytest.raises(InputError, match="cannot be written: .*; name another folder"):
+        named(found(law("free_level_v", bell())), "a").keep(tmp_path / "file" / "sub")
+    load_catalogue(tmp_path / "none yet")
