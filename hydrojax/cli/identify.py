@@ -167,10 +167,7 @@ def trace(
         )  # fmt: skip
         if discover and result.verdict == "unknown":
             result = _discovered(context, result, out, starts, profile, progress)
-    kept = result.keep(catalogue) if catalogue is not None else None
-    if kept is not None and not (quiet or json):
-        console.print(f"kept in {kept}", soft_wrap=True)
-    _finish(context, result, out, json, quiet, failing)
+    _finish(context, result, out, json, quiet, failing, catalogue)
 
 
 @app.command()
@@ -209,9 +206,13 @@ def _finish(
     json: bool,
     quiet: bool,
     failing: Collection[str],
+    catalogue: Path | None = None,
 ) -> None:
-    """Write the report and print its summary; leave with 1 on a failing verdict."""
+    """Write the report, add to the catalogue and print a summary; leave with 1 on a
+    failing verdict.
+    """
     result.save(out, command_line(context))
+    kept = result.keep(catalogue) if catalogue is not None else None
     outcome = result.outcome
     if json:
         print((out / "report.json").read_text(encoding="utf-8"), end="")
@@ -220,7 +221,7 @@ def _finish(
         spent = outcome.seconds
         console.print(
             f"\ncompile {spent['compile']:.1f} s, run {spent['run']:.1f} s; "
-            f"report in {out / 'report.html'}",
+            f"report in {out / 'report.html'}" + (f", kept in {kept}" if kept else ""),
             soft_wrap=True,
         )
     if outcome.verdict in failing:

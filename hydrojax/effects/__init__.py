@@ -168,9 +168,7 @@ def load_effects(path: str | Path) -> dict[str, type[Effect]]:
     path = Path(path)
     files = sorted(path.glob("*.py")) if path.is_dir() else [path]
     if not files:
-        raise InputError(
-            f"{path}: holds no Python file with effects; name another with --effects"
-        )
+        raise InputError(f"{path}: holds no Python file with effects; name another")
     found: dict[str, type[Effect]] = {}
     for file in files:
         found |= registry.load_effects(file, EFFECTS)

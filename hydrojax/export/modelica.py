@@ -35,7 +35,7 @@ def modelica_of(spec: RigFile) -> str:
     """One record, one line a parameter; its file has the record's name.
 
     Names are the rig file's; `law_` opens those of [controller], `load_` of [load],
-    `noise_` of [sensors], and an effect's name those of its own.
+    `noise_` of [sensors], `valve_` of [valve], and an effect's name those of its own.
 
     Raises:
         InputError: an effect of the user's own has a name that Modelica cannot take.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -122,9 +123,14 @@ class RigFile:
                 layout; a missing or wrong unit; a range upside down, or one that leaves
                 out the start; a length, area, pressure or noise that cannot be;
                 geometry that the layout needs; commands in V here and dimensionless
-                there.
+                there; a section [valve] beside a valve of one's own.
         """
         file = read_rig(text, path, base_specs(valve), effect_specs())
+        if valve is not None and "valve" in tomllib.loads(text):
+            raise InputError(
+                f"{path}: [valve] is of metering edges, not of {type(valve).__name__}; "
+                "delete the section"
+            )
         return replace(file, valve=valve)
 
     def with_text(self, text: str) -> RigFile:

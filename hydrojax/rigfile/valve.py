@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,11 +90,7 @@ def compensation(
     own = givens(f"{path}: [valve]", {"s": "1"}, known)
     table = {k: v for k, v in section.items() if k == "margin"}
     margin = givens(f"{path}: [valve]", table, {"margin": known[MARGIN]})
-    return {name: own + [Given(g.where, MARGIN, *_rest(g)) for g in margin]}
-
-
-def _rest(given: Given) -> tuple:
-    return given.spec, given.start, given.range, given.reciprocal, given.tolerance
+    return {name: own + [replace(g, field=MARGIN) for g in margin]}
 
 
 def table_of(path: str, section: Mapping[str, Any], command: str) -> Table:

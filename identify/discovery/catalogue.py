@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Container, Sequence
 from dataclasses import replace
@@ -10,8 +9,9 @@ from pathlib import Path
 
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
-from hydrojax.identify.discovery.effect_file import effect_file
+from hydrojax.identify.discovery.effect_file import class_name, effect_file
 from hydrojax.identify.results.curve import FoundCurve
+from hydrojax.report.files import write_one
 
 
 def keep(folder: Path, rig: str, curves: Sequence[FoundCurve]) -> Path:
@@ -30,17 +30,14 @@ def keep(folder: Path, rig: str, curves: Sequence[FoundCurve]) -> Path:
     """
     own = re.sub(r"\W+", "_", rig.lower(), flags=re.ASCII).strip("_")
     own = own if own[:1].isalpha() else f"rig_{own}".rstrip("_")
+    there = {path.stem for path in folder.glob("*.py")}
+    path = folder / f"{_free(own, there)}.py"
+    named: list[FoundCurve] = []
+    for curve in curves:
+        taken = {*EFFECTS, *(c.name for c in named)}
+        named.append(_renamed(curve, _free(f"{own}_{curve.name}", taken)))
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        there = {path.stem for path in folder.glob("*.py")}
-        path = folder / f"{_free(own, there)}.py"
-        named = []
-        for curve in curves:
-            taken = {*EFFECTS, *(c.name for c in named)}
-            named.append(_renamed(curve, _free(f"{own}_{curve.name}", taken)))
-        part = path.with_name(f".{path.name}.{os.getpid()}")
-        part.write_text(effect_file(rig, named), encoding="utf-8")
-        part.replace(path)
+        write_one(path, effect_file(rig, named).encode())
     except OSError as err:
         raise InputError(
             f"{folder}: cannot be written: {err.strerror}; name another folder"
@@ -59,11 +56,7 @@ def _free(name: str, taken: Container[str]) -> str:
 
 def _renamed(curve: FoundCurve, name: str) -> FoundCurve:
     """The curve, and its class, under another name."""
-
-    def title(snake: str) -> str:
-        return "".join(word.capitalize() for word in snake.split("_"))
-
     source = curve.source.replace(
-        f"class {title(curve.name)}(", f"class {title(name)}(", 1
+        f"class {class_name(curve.name)}(", f"class {class_name(name)}(", 1
     ).replace(f'name = "{curve.name}"', f'name = "{name}"', 1)
     return replace(curve, name=name, source=source)

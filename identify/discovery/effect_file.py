@@ -126,10 +126,14 @@ def effect_file(rig: str, curves: Sequence[FoundCurve]) -> str:
     return "\n".join(lines) + "\n" + "".join(c.source for c in curves)
 
 
+def class_name(name: str) -> str:
+    """Of the effect of this name, as Python writes names of classes."""
+    return "".join(word.capitalize() for word in name.split("_"))
+
+
 def effect_source(law: FoundLaw, name: str) -> str:
     """The class of an effect of this name, in Python."""
     term = law.term
-    title = "".join(word.capitalize() for word in name.split("_"))
     by = f" times {term.factor}" if term.factor else ""
     needs = '("u",)' if term.place in ("command", "flow", "compliance") else '("F",)'
     low, high = (f"{end:.4g}" for end in law.seen)
@@ -138,7 +142,7 @@ def effect_source(law: FoundLaw, name: str) -> str:
         [
             "",
             "",
-            f"class {title}({BASES[term.place]}):",
+            f"class {class_name(name)}({BASES[term.place]}):",
             f'    """At {term.place}{by}, over {term.signal}, in {law.unit}.',
             "",
             said,

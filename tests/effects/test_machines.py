@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 from scipy.signal import TransferFunction, lsim
 
 from hydrojax.effects import EFFECTS as KNOWN
 from hydrojax.identify.preparation.noise import derivatives
 from hydrojax.parameters import put
-from hydrojax.plant.chambers import Point
-from hydrojax.plant.hydraulics import follow_drops, pressure_step
+from hydrojax.plant.chambers import Losses, Point
+from hydrojax.plant.hydraulics import _lost, follow_drops, pressure_step
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.replay import Windows, at_start
 from hydrojax.plant.rig import add, bare_rig
@@ -270,6 +271,32 @@ def test_a_line_behind_a_counterbalance_valve_keeps_its_pressure(
     assert np.min(parts) <= -1e5 * check
     error = np.sqrt(np.mean((got - want) ** 2, axis=0)) / np.ptp(want, axis=0)
     assert np.all(error < off)
+
+
+def test_what_a_line_loses_is_the_answer_of_a_solver():
+    """Into the chamber, through laminar to turbulent; also its slope by the valve's
+    size where there is none yet, without which no search would find it.
+    """
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        r, q = 10 ** rng.uniform(9, 16), 10 ** rng.uniform(-6, -1.5)
+        b, goal = 10 ** rng.uniform(6, 13), 10 ** rng.uniform(2, 7.3)
+
+        def drop(Q, r=r, q=q):
+            return r * Q * np.hypot(Q, q)
+
+        def left(Q, b=b, goal=goal, drop=drop):
+            return drop(Q) + b * Q - goal
+
+        Q = brentq(left, 0.0, goal / b, xtol=1e-300, rtol=1e-14)
+        got = _lost(Losses(*map(jnp.asarray, (0.0, r, q))), b, jnp.asarray(-goal))
+        assert -float(got) == pytest.approx(drop(Q), rel=1e-6)
+
+    def by_size(r):
+        return _lost(Losses(r, r, jnp.asarray(1e-4)), 1e9, jnp.asarray(-1e5))
+
+    slope = jax.grad(by_size)(jnp.asarray(0.0))
+    assert float(slope) == pytest.approx(-1e-4 * np.hypot(1e-4, 1e-4), rel=1e-6)
 
 
 def test_a_flow_that_rises_with_pressure_leaves_a_line_an_answer():

@@ -13,6 +13,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hydrojax import api
+from hydrojax.cli import identify
 from hydrojax.cli.options import load_catalogue
 from hydrojax.cli.options import load_effects as take
 from hydrojax.effects import EFFECTS, load_effects
@@ -288,3 +289,17 @@ def test_a_catalogue_that_cannot_be(tmp_path):
     with pytest.raises(InputError, match="cannot be written: .*; name another folder"):
         named(found(law("free_level_v", bell())), "a").keep(tmp_path / "file" / "sub")
     load_catalogue(tmp_path / "none yet")
+
+
+def test_the_report_is_there_where_the_catalogue_cannot_be_written(
+    tmp_path, monkeypatch
+):
+    """A trace takes minutes: they are not lost to a folder that is none."""
+    (tmp_path / "file").write_text("")
+    result = named(found(law("free_level_v", bell())), "a")
+    monkeypatch.setattr(identify, "command_line", lambda _: "hydrojax trace")
+    with pytest.raises(InputError, match="cannot be written"):
+        identify._finish(
+            Mock(), result, tmp_path / "out", False, True, (), tmp_path / "file" / "c"
+        )
+    assert (tmp_path / "out" / "report.json").exists()

@@ -9,6 +9,7 @@ from jsonschema import Draft202012Validator
 
 from hydrojax.errors import InputError
 from hydrojax.plant.chambers import Point
+from hydrojax.plant.valve import MeteringEdges
 from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.edit import rewrite
 from hydrojax.rigfile.json_schema import rig_schema
@@ -130,6 +131,13 @@ def test_what_is_said_twice_is_refused():
         rig_of('kind = "compensated"\n', text)
     with pytest.raises(InputError, match="layout 'tester' has no valve"):
         rig_of('kind = "orifice"\n', 'layout = "tester"\n')
+
+
+def test_a_valve_of_ones_own_has_no_such_section():
+    with pytest.raises(InputError, match=r"\[valve\] is of metering edges, not of Met"):
+        RigFile.from_text(
+            RIG + '[valve]\nkind = "compensated"\n', valve=MeteringEdges()
+        )
 
 
 @pytest.mark.parametrize(
