@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import jax
@@ -15,6 +15,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.check import check_inputs
+from hydrojax.identify.checking.mended import mended
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
@@ -163,39 +164,60 @@ def trace_case(
     progress: Progress = lambda _: None,
     profile: bool = False,
 ) -> Outcome:
-    """The whole loop: fit, residual, the effect behind it, refit, before and after."""
+    """The whole loop: fit, residual, the effect behind it, refit, before and after.
+
+    Inputs that look wrong are mended first, where a line of the rig file does that.
+    """
     began = time.perf_counter()
     check_drive(case)
-    names = [n for n in applicable(case) if n not in case.spec.effects]
-    problem, check, free, effects = _problems(case, names)
     compiled = _Compiling()
-    values = problem.initial_values()
-    spare = cores() - 1
-    with ThreadPoolExecutor(max(spare, 1)) as pool:
-        # What the trace will need is compiled while the first fit runs, where a core
-        # has nothing else to do: each program takes 600 MiB while it is compiled.
-        ahead = [
-            pool.submit(evaluate, values)
-            for evaluate in (check.errors_at, problem.sums_at)
-            if spare
-        ]
-        inputs = pool.submit(check_inputs, case.spec, case.read_logs)
+    with ThreadPoolExecutor(1) as pool:
+        ready = _Ready.of(case, pool)
+        progress("check the inputs")
+        found = check_inputs(case.spec, case.read_logs).found
+        right = mended(case.spec, case.as_read, found)
+        if right is not None:
+            case = case.again(*right)
+            ready = _Ready.of(case, pool)
+        problem, free = ready.problem, ready.free
         early, values, done, point = _fit_base(
             problem, free, starts, progress, case.spec.path
         )
-        for job in ahead:
+        for job in ready.ahead:
             job.result()
     start = Tracing(
         in_short(early),
-        check,
-        effects,
+        ready.check,
+        ready.effects,
         free,
         replace(point, values=values),
         progress,
     )
     state = shed(_on_all(done, _searched(case, search_effects(start))))
-    found = _outcome("trace", case, state, point, began, compiled, progress, profile)
-    return with_inputs(found, inputs.result().found)
+    outcome = _outcome("trace", case, state, point, began, compiled, progress, profile)
+    return with_inputs(outcome, found, right is not None)
+
+
+@dataclass(frozen=True)
+class _Ready:
+    """What a trace begins with; `ahead` are programs that it will need, as they are
+    compiled on a core that has nothing else to do: each takes 600 MiB meanwhile.
+    """
+
+    problem: Problem
+    check: Problem
+    free: tuple[str, ...]
+    effects: dict[str, Effect]
+    ahead: tuple[Future, ...]
+
+    @classmethod
+    def of(cls, case: Case, pool: ThreadPoolExecutor) -> _Ready:
+        names = [n for n in applicable(case) if n not in case.spec.effects]
+        problem, check, free, effects = _problems(case, names)
+        values = problem.initial_values()
+        needed = (check.errors_at, problem.sums_at) if cores() > 1 else ()
+        ahead = tuple(pool.submit(evaluate, values) for evaluate in needed)
+        return cls(problem, check, free, effects, ahead)
 
 
 def _searched(case: Case, state: Tracing) -> Tracing:

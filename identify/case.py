@@ -87,7 +87,7 @@ class Case:
         preparation: how they were made ready.
         test: logs that take part in no decision, made ready, if there are any.
         test_logs: these logs.
-        read_logs: the logs that are fitted, as they were read.
+        as_read: the logs to fit, to validate and to test, as they were read.
         noise_by: the channels' noise by a model that was found, where the position's
             own noise is counted into it; None where it is not.
     """
@@ -101,13 +101,33 @@ class Case:
     preparation: Preparation
     test: Data | None = None
     test_logs: tuple[Log, ...] = ()
-    read_logs: tuple[Log, ...] = ()
+    as_read: tuple[tuple[Log, ...], ...] = ((), (), ())
     noise_by: NoiseBy | None = None
 
     @property
     def criteria(self) -> Criteria:
         """The thresholds by which it is decided."""
         return self.preparation.criteria
+
+    @property
+    def read_logs(self) -> tuple[Log, ...]:
+        """The logs that are fitted, as they were read."""
+        return self.as_read[0]
+
+    def again(self, spec: RigFile, logs: Sequence[Sequence[Log]]) -> Case:
+        """The case with another rig file, and its logs as that reads them.
+
+        Args:
+            spec: the rig file.
+            logs: to fit, to validate and to test.
+
+        Raises:
+            InputError: see `open_case`.
+        """
+        fit, validate, test = (tuple(group) for group in logs)
+        return _prepared(
+            spec, fit, validate, test, self.preparation.horizon, self.criteria
+        )
 
 
 def open_case(
@@ -151,8 +171,7 @@ def open_case(
     spec = _with_command_unit(spec, (*fitted, *others, *tests))
     driver((*fitted, *others, *tests), spec)
     _make_room(spec, fitted)
-    case = _prepared(spec, fitted, others, tests, horizon, criteria)
-    return replace(case, read_logs=fitted)
+    return _prepared(spec, fitted, others, tests, horizon, criteria)
 
 
 Structure = tuple[str | frozenset[str], ...]
@@ -251,7 +270,7 @@ def _prepared(
     criteria: Criteria,
 ) -> Case:
     """The logs made ready; `tests` take no part in how."""
-    every = (*fitted, *others)
+    every, as_read = (*fitted, *others), (fitted, others, tests)
     driven_by = driver(every, spec)
     band = common_band(every, spec, driven_by, criteria)
     noise = channel_noise(every, spec, driven_by)
@@ -282,5 +301,5 @@ def _prepared(
     own = Preparation(spec, horizon, fit.noise, sign, band, criteria, found.smoothed)
     return Case(
         spec, fit, check, fitted, others or fitted, bool(others), own,
-        own.data(tests) if tests else None, tests, noise_by=found.noise_by,
+        own.data(tests) if tests else None, tests, as_read, found.noise_by,
     )  # fmt: skip

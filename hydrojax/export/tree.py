@@ -74,7 +74,12 @@ def rig_tree(spec: RigFile) -> Tree:
         "load": _given(spec.output_load, LOAD),
         "sensors": _given(spec.sensors, signal_units(spec)),
         "channels": {
-            name: {"column": c.column, "unit": c.unit or "", "invert": c.invert}
+            name: {
+                "column": c.column,
+                "unit": c.unit or "",
+                "invert": c.invert,
+                "scale": c.scale,
+            }
             for name, c in spec.channels.items()
         },
     }

@@ -28,7 +28,7 @@ _GAP = 2.5  # a step this many times the median is a gap
 def assigned(
     file: File, channels: Mapping[str, Channel]
 ) -> tuple[dict[str, tuple[Column, str | None, float]], list[str]]:
-    """Each signal's column, unit and sign; remarks."""
+    """Each signal's column, unit and factor; remarks."""
     found, notes = {}, []
     for name in SIGNALS:
         channel = channels.get(name)
@@ -49,7 +49,7 @@ def assigned(
             notes.append(
                 f"column {column.label!r} is read in {unit}, as the rig file says"
             )
-        found[name] = (column, unit, -1.0 if channel and channel.invert else 1.0)
+        found[name] = (column, unit, channel.factor if channel else 1.0)
     return found, notes
 
 

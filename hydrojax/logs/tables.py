@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import os
 import re
 import zipfile
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from hydrojax import units
 from hydrojax.errors import WORD, InputError, check_expansion, check_members, one_line
@@ -39,13 +40,23 @@ _CELL = 64
 
 
 class Channel(BaseModel):
-    """One line of the rig file's [channels]: where a signal is in the logs."""
+    """One line of the rig file's [channels]: where a signal is in the logs.
+
+    `scale` is what the column is multiplied by beside its unit, as for a gauge whose
+    span is off.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     column: str
     unit: str | None = None
     invert: bool = False
+    scale: float = Field(default=1.0, gt=0, lt=math.inf)
+
+    @property
+    def factor(self) -> float:
+        """What the column is multiplied by, its sign included."""
+        return -self.scale if self.invert else self.scale
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -271,6 +271,12 @@ class InputRecord(Part):
     )
     unit: str = Field("", description="of both errors")
     says: str = Field("", description="what looks wrong, and the line to write")
+    lines: dict[str, dict[str, Any]] = Field(
+        {}, description="that line, by section and key of the rig file"
+    )
+    mended: bool = Field(
+        False, description="whether all else in the report is of the mended input"
+    )
 
 
 class FileRecord(Part):

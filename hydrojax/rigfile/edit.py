@@ -75,6 +75,25 @@ def rewrite(
     return tomlkit.dumps(document)
 
 
+def with_lines(content: str, lines: Mapping[str, Mapping[str, object]]) -> str:
+    """A rig file's text in which some lines are written, or written anew.
+
+    Args:
+        content: the text.
+        lines: by section and key; a value that is a mapping is written inline.
+    """
+    document = tomlkit.parse(content)
+    for section, entries in lines.items():
+        table = document.setdefault(section, tomlkit.table())
+        for key, value in entries.items():
+            if isinstance(value, Mapping):
+                inline = tomlkit.inline_table()
+                inline.update(value)
+                value = inline
+            table[key] = value
+    return tomlkit.dumps(document)
+
+
 def identified(spec: RigFile, values: dict[str, float]) -> RigFile:
     """The rig file with its own parameters, and its effects', at identified values."""
     base = dict(spec.parameters)

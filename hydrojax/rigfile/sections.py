@@ -98,6 +98,10 @@ def read_sections(path: str, text: str) -> Sections:
         _refuse(path, tree, err)
 
 
+A_FACTOR = "a positive number"
+"""What a scale of [channels] is to be."""
+
+
 def _refuse(path: str, tree: Mapping[str, Any], error: ValidationError) -> NoReturn:
     """Say the first of pydantic's complaints in one line of ours."""
     first = error.errors()[0]
@@ -122,6 +126,7 @@ def _refuse(path: str, tree: Mapping[str, Any], error: ValidationError) -> NoRet
         "dict_type": "a table of its own",
         "model_type": 'a table such as { column = "..." }',
         "bool_type": "true or false",
+        **dict.fromkeys(("float_type", "greater_than", "less_than"), A_FACTOR),
         "value_error": f"at most {WORD} characters that can be printed",
     }
     shape = shapes.get(first["type"], "text in quotes")

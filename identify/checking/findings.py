@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,7 @@ from hydrojax.identify.checking.factors import (
     supply_factor,
 )
 from hydrojax.identify.checking.inputs import Inputs
+from hydrojax.identify.checking.lines import as_read
 from hydrojax.identify.checking.regression import bump
 from hydrojax.identify.checking.search import mends_wanted
 from hydrojax.identify.checking.sensors import DEAD
@@ -39,7 +41,8 @@ def inputs_that_lie(
     mended, scale, found = of, dict.fromkeys(channels.index, 1.0), []
     for mend, before, after in mends_wanted(of):
         found.append(words.of_mend(mend, before, after, of))
-        mended = mend.applied(mended)
+        of = replace(of, spec=as_read(of.spec, found[-1].lines))
+        mended = replace(mend.applied(mended), spec=of.spec)
         for name in mend.inputs:
             scale[name] = scale.get(name, 1.0) * abs(mend.factor)
     noise = {n: scale[n] * float(channels.noise[n]) for n in channels.index}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,14 @@ from hydrojax import units
 from hydrojax.identify.checking.balances import FLOW, NOT_NEGATIVE
 from hydrojax.identify.checking.factors import Factor, LeftOut
 from hydrojax.identify.checking.inputs import Inputs
+from hydrojax.identify.checking.lines import (
+    Lines,
+    columns,
+    exchanged,
+    scaled,
+    turned,
+    written,
+)
 from hydrojax.identify.checking.regression import solved
 from hydrojax.identify.checking.search import Mend, Trial
 from hydrojax.identify.checking.sensors import CLIPPED, DEAD, SENSORS, STUCK, VACUUM
@@ -57,6 +65,8 @@ class Finding:
         error_if_mended: the same with the input mended.
         unit: of both: Pa for the flow's balance, N for the force's.
         says: what looks wrong, and the line to write.
+        lines: that line, by section and key of the rig file; empty where none mends it.
+        mended: whether what the report says is of the mended input.
     """
 
     input: str
@@ -66,6 +76,8 @@ class Finding:
     error_if_mended: float | None
     unit: str
     says: str
+    lines: Lines = field(default_factory=dict)
+    mended: bool = False
 
 
 def stiffness(of: Inputs) -> float:
@@ -73,27 +85,6 @@ def stiffness(of: Inputs) -> float:
     soft = solved(of.flow, FLOW, NOT_NEGATIVE).values["beta"]
     volume = float(np.mean(of.geometry.chambers)) * of.geometry.length / 2
     return 1 / max(soft, 1e-10) / volume
-
-
-def _columns(of: Inputs, names: Sequence[str], **more: object) -> str:
-    """The lines under [channels] that read signals in another way."""
-    lines = []
-    for name in names:
-        given = of.spec.channels.get(name)
-        entry: dict[str, object] = {"column": given.column if given else name}
-        if given and given.unit:
-            entry["unit"] = given.unit
-        if given and given.invert:
-            entry["invert"] = True
-        entry |= more
-        own = ", ".join(f"{k} = {json.dumps(v)}" for k, v in entry.items())
-        lines.append(f"{name} = {{ {own} }}")
-    return f"[channels] {'; '.join(lines)}"
-
-
-def _turned(of: Inputs, names: Sequence[str]) -> str:
-    given = of.spec.channels.get(names[0])
-    return _columns(of, names, invert=not (given and given.invert))
 
 
 def of_mend(mend: Mend, before: Trial, after: Trial, of: Inputs) -> Finding:
@@ -106,6 +97,7 @@ def of_mend(mend: Mend, before: Trial, after: Trial, of: Inputs) -> Finding:
             after.flow_error * after.stiffness,
         )
     known = of.has_force or of.has_flow
+    says, lines = _SAYS[mend.finding](mend, of)
     return Finding(
         ", ".join(mend.inputs),
         mend.finding,
@@ -114,49 +106,54 @@ def of_mend(mend: Mend, before: Trial, after: Trial, of: Inputs) -> Finding:
         errors[0] if known and mend.finding != "unit" else None,
         errors[1] if known else None,
         "N" if by_force else "Pa",
-        _SAYS[mend.finding](mend, of),
+        says,
+        lines,
     )
 
 
-def _says_sign(mend: Mend, of: Inputs) -> str:
+Said = tuple[str, Lines]
+"""What looks wrong, and the lines that mend it."""
+
+
+def _says_sign(mend: Mend, of: Inputs) -> Said:
     names = " and ".join(mend.inputs)
     also = {
         "u": ", or the valve's ports are exchanged, which is the same",
         "psi": ", or all else is", "x": ", or all else is",
     }.get(mend.inputs[0], "")  # fmt: skip
     run = "runs" if len(mend.inputs) == 1 else "run"
-    return (
-        f"{names} {run} against the rig's sign{also}: write {_turned(of, mend.inputs)}"
-    )
+    lines = turned(of.spec, mend.inputs)
+    return f"{names} {run} against the rig's sign{also}: write {written(lines)}", lines
 
 
-def _says_exchanged(mend: Mend, of: Inputs) -> str:
-    columns = {n: of.spec.channels[n].column if n in of.spec.channels else n
-               for n in mend.inputs}  # fmt: skip
+def _says_exchanged(mend: Mend, of: Inputs) -> Said:
     one, other = mend.inputs
-    return (
-        f"{one} and {other} are exchanged: write [channels] "
-        f'{one} = {{ column = "{columns[other]}" }}; '
-        f'{other} = {{ column = "{columns[one]}" }}'
-    )
+    lines = exchanged(of.spec, one, other)
+    return f"{one} and {other} are exchanged: write {written(lines)}", lines
 
 
-def _says_unit(mend: Mend, of: Inputs) -> str:
+def _says_unit(mend: Mend, of: Inputs) -> Said:
     names, f = " and ".join(mend.inputs), mend.factor
-    size = _size(f)
-    signal = mend.inputs[0] in SIGNALS
-    kind = SIGNALS[mend.inputs[0]] if signal else "m^2"
-    pair = next((p for p in SLIPS[kind] if np.isclose(p[0], f, rtol=1e-3)), None)
-    start = f"{names}: values are {size}"
-    if not signal:
-        return f"{start}: correct {names} under [geometry]"
-    if pair is None:
-        return f"{start}: correct the unit under [channels]"
-    _, read, is_ = pair
+    start, spec = f"{names}: values are {_size(f)}", of.spec
     logged = [n for n in mend.inputs if n in of.logged]
-    return (
-        f"{start}, as {is_} read for {read} is: write {_columns(of, logged, unit=is_)}"
-    )
+    lines: dict[str, Mapping[str, Any]] = {}
+    for name in set(mend.inputs) & spec.geometry.keys():
+        unit = "m" if name == "radius" else "m^2"
+        lines["geometry"] = {name: text(f * spec.geometry[name], unit)}
+    if "P_s" in mend.inputs and "P_s" not in logged:
+        lines["supply"] = {"P_s": text(f * spec.line["P_s"], "Pa")}
+    if not logged:
+        return f"{start}: write {written(lines)}", lines
+    slips = [p for p in SLIPS[SIGNALS[logged[0]]] if np.isclose(p[0], f, rtol=1e-3)]
+    if not slips:
+        lines |= scaled(spec, logged, f)
+        return f"{start}: write {written(lines)}", lines
+    # Which unit a column without one here was read in is not known: a factor is true.
+    own = {spec.channels[n].unit if n in spec.channels else None for n in logged}
+    _, read, is_ = next((p for p in slips if own == {p[1]}), slips[0])
+    again = own == {read}
+    lines |= columns(spec, logged, unit=is_) if again else scaled(spec, logged, f)
+    return f"{start}, as {is_} read for {read} is: write {written(lines)}", lines
 
 
 def _size(factor: float) -> str:
@@ -176,19 +173,18 @@ def _percent(factor: float, more: str, less: str) -> str:
 
 def of_supply(found: Factor, of: Inputs) -> Finding:
     """A supply pressure off by a factor."""
+    found = replace(found, factor=float(f"{found.factor:.4g}"))
     off = _percent(found.factor, "too high", "too low")
     if "P_s" in of.logged:
-        mend = (
-            f"multiply its column by {found.factor:.4g} (the gauge's span, or a gauge "
-            "elsewhere than at the valve)"
-        )
+        lines = scaled(of.spec, ["P_s"], found.factor)
+        why = " (the gauge's span, or a gauge elsewhere than at the valve)"
     else:
         level = text(found.factor * of.spec.line["P_s"], "Pa")
-        mend = f'write [supply] P_s = "{level}"'
+        lines, why = {"supply": {"P_s": level}}, ""
     size = stiffness(of.scaled("P_s", found.factor))
     return Finding(
         "P_s", "factor", found.factor, size * found.given, size * found.mended, "Pa",
-        f"P_s is {off}: {mend}",
+        f"P_s is {off}: write {written(lines)}{why}", lines,
     )  # fmt: skip
 
 
@@ -197,45 +193,46 @@ def of_force(found: Factor, of: Inputs) -> Finding:
     name, f = found.input, found.factor
     geometry = of.spec.geometry
     if name in geometry:
-        line = f'write [geometry] {name} = "{text(f * geometry[name], "m^2")}"'
+        lines = {"geometry": {name: text(f * geometry[name], "m^2")}}
         gauge = {"area": "both pressures", "area_1": "P_a1", "area_2": "P_a2"}[name]
         says = (
-            f"{name} is {_percent(f, 'too large', 'too small')}: {line}; or, as these "
+            f"{name} is {_percent(f, 'too large', 'too small')}: write "
+            f"{written(lines)}; or, as these "
             f"logs cannot tell, F is {_percent(1 / f, 'too large', 'too small')} "
             f"(effect loadcell_gain), or {gauge} {_percent(f, 'too high', 'too low')}"
         )
     elif name == "F":
+        lines = scaled(of.spec, [name], float(f"{1 / f:.4g}"))
         says = (
             f"F is {_percent(1 / f, 'too large', 'too small')} (effect loadcell_gain): "
-            f"divide its column by {f:.4g}; or, as these logs cannot tell, both areas "
+            f"write {written(lines)}; or, as these logs cannot tell, both areas "
             f"are {_percent(f, 'too large', 'too small')}"
         )
         f = 1 / f
     else:
+        lines = scaled(of.spec, [name], float(f"{f:.4g}"))
         says = (
-            f"{name} is {_percent(f, 'too high', 'too low')}: multiply its column by "
-            f"{f:.4g} (the gauge's span)"
+            f"{name} is {_percent(f, 'too high', 'too low')}: write "
+            f"{written(lines)} (the gauge's span)"
         )
-    return Finding(name, "factor", f, found.given, found.mended, "N", says)
+    return Finding(name, "factor", f, found.given, found.mended, "N", says, lines)
 
 
 def of_left_out(
     out: LeftOut, unit: str, scale: float, known: Mapping[str, Spec], of: Inputs
 ) -> Finding:
     """Constants that the rig file leaves out."""
-    lines = [
-        f"{n} = {_entry(v, known[n], of.spec.command_unit)}"
-        for n, v in out.values.items()
-    ]
-    names = ", ".join(out.values)
+    unit_of = of.spec.command_unit
+    entries = {n: _entry(v, known[n], unit_of) for n, v in out.values.items()}
+    lines, names = {"parameters": entries}, ", ".join(out.values)
     return Finding(
         names, "left out", None, scale * out.given, scale * out.mended, unit,
         f"{names} stand at defaults that these logs contradict, as the rig file leaves "
-        f"them out: write [parameters] {'; '.join(lines)}",
+        f"them out: write {written(lines)}", lines,
     )  # fmt: skip
 
 
-def _entry(value: float, spec: Spec, command: str) -> str:
+def _entry(value: float, spec: Spec, command: str) -> dict[str, Any]:
     """A parameter with a range about a value."""
     unit = units.with_command(spec.unit, command)
     ends = (-4 * abs(value), 4 * abs(value))
@@ -243,8 +240,8 @@ def _entry(value: float, spec: Spec, command: str) -> str:
         ends = (value / 10 if spec.lower > 0 else 0.0, 10 * abs(value))
     low, high = (min(max(e, spec.lower), spec.upper) for e in ends)
     start = min(max(value, spec.lower), spec.upper)
-    own = [json.dumps(text(float(f"{v:.3g}"), unit)) for v in (start, low, high)]
-    return f"{{ start = {own[0]}, range = [{own[1]}, {own[2]}] }}"
+    own = [text(float(f"{v:.3g}"), unit) for v in (start, low, high)]
+    return {"start": own[0], "range": own[1:]}
 
 
 def of_noise(of: Inputs, noise: Mapping[str, float]) -> list[Finding]:
@@ -255,15 +252,17 @@ def of_noise(of: Inputs, noise: Mapping[str, float]) -> list[Finding]:
         if of.h > SLOWEST or not ratio or NOISE[0] < ratio < NOISE[1]:
             continue
         unit = units.with_command(SIGNALS[name], of.spec.command_unit)
-        line = f'[sensors] {name} = "{text(float(f"{noise[name]:.3g}"), unit)}"'
+        lines = {"sensors": {name: text(float(f"{noise[name]:.3g}"), unit)}}
         size = (
             f"{1 / ratio:.3g} times too large"
             if ratio < 1
             else f"{ratio:.3g} times too small"
         )
         filtered = ", unless the channel was smoothed" if ratio < 1 else ""
-        says = f"the noise stated for {name} is {size}{filtered}: write {line}"
-        out.append(Finding(name, "noise", ratio, None, None, unit, says))
+        says = (
+            f"the noise stated for {name} is {size}{filtered}: write {written(lines)}"
+        )
+        out.append(Finding(name, "noise", ratio, None, None, unit, says, lines))
     return out
 
 

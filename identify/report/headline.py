@@ -36,7 +36,9 @@ def worst(outcome: Outcome) -> tuple[str, ChannelErrors] | None:
 def headline(outcome: Outcome) -> str:
     """What was found, in two lines at most; the outcome's sentence says all of it."""
     lead = ""
-    if outcome.inputs:
+    if mended := ", ".join(f.input for f in outcome.inputs if f.mended):
+        lead = f"{mended}: as given it looks wrong, and was mended first. "
+    elif outcome.inputs:
         lead = f"Check {outcome.inputs[0].input} first: it looks wrong. "
     found = worst(outcome)
     if found is None:

@@ -10,6 +10,7 @@ import pytest
 
 import hydrojax as hj
 from benchmarks.trace.lies import Traced, lies_of, named
+from hydrojax.identify.checking.mended import mended
 from hydrojax.identify.checking.sensors import channel_table
 
 TRIED = (
@@ -88,6 +89,73 @@ def test_the_line_that_is_said_mends_the_rig_file(honest):
     lied = [replace(g, channels=dict(turned.channels)) for g in lied]
     says = hj.check(turned, lied).found[0].says
     assert 'F = { column = "F", invert = false }' in says
+
+
+MENDED = (
+    "u turned round", "psi turned round", "pressures exchanged", "kN for N",
+    "degrees for radians", "MPa for bar", "bar for Pa", "P_s -10%",
+    "pressures turned round", "valve left out", "friction left out",
+)  # fmt: skip
+"""Lies that a trace undoes by the lines it says."""
+
+
+@pytest.mark.parametrize("name", MENDED)
+def test_what_is_mended_is_the_honest_input(honest, name):
+    """The logs are the honest ones again, and the rig file's check finds nothing."""
+    rig, logs = honest
+    text, lied = TOLD[name].told(rig.text, logs)
+    spec = hj.RigFile.from_text(text)
+    right = mended(spec, [lied, [], lied[:1]], hj.check(spec, lied).found)
+    assert right is not None
+    new, (fit, _, test) = right
+    for own, log in zip((*fit, *test), (*logs, logs[0]), strict=True):
+        for signal, y in log.signals.items():
+            close = 0.02 if (name, signal) == ("P_s -10%", "P_s") else 1e-3
+            assert own.signals[signal] == pytest.approx(y, rel=close), signal
+    assert hj.check(new, fit).found == ()
+
+
+def test_the_lines_mend_the_files_as_well(honest, tmp_path):
+    """Read from disk by the mended rig file, a log is what the trace made of it."""
+    rig, logs = honest
+    text, lied = TOLD["P_s +10%"].told(rig.text, logs)
+    u, P = lied[0].signals["u"], lied[0].signals["P_a1"]
+    one = replace(lied[0], signals=lied[0].signals | {"u": -u, "P_a1": P / 10})
+    spec = hj.RigFile.from_text(text)
+    new, ((own,),) = mended(spec, [[one]], hj.check(spec, [one]).found)
+    frame = one.to_frame()
+    units = frame.attrs["units"]
+    frame.columns = [f"{n} [{units[n]}]" for n in frame.columns]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    read = hj.Log.load(tmp_path / "log.csv", new.channels)
+    for signal, y in own.signals.items():
+        assert read.signals[signal] == pytest.approx(y, rel=1e-9), signal
+    assert own.signals["u"] == pytest.approx(u)
+
+
+def test_a_gain_that_is_an_effect_s_too_is_left_as_it_is(honest):
+    rig, logs = honest
+    text, lied = TOLD["area +2%"].told(rig.text, logs)
+    spec = hj.RigFile.from_text(text)
+    found = hj.check(spec, lied).found
+    assert [f.input for f in found] == ["area"]
+    assert mended(spec, [lied], found) is None
+
+
+def test_a_trace_mends_the_input_and_goes_on(honest, recorded):
+    """No effect is named for a sign that is wrong."""
+    rig, logs = honest
+    folder = recorded(1)
+    check = hj.Log.load(folder / "validate.csv", rig.channels)
+    text, lied = TOLD["psi turned round"].told(rig.text, logs)
+    _, (turned,) = TOLD["psi turned round"].told(rig.text, [check])
+    result = hj.trace(hj.RigFile.from_text(text), lied, validate=[turned])
+    out = result.outcome
+    assert (out.verdict, out.effects) == ("nothing missing", ())
+    assert out.sentence.startswith("An input looks wrong: psi runs against")
+    assert "With it mended: Nothing is missing" in out.sentence
+    assert [f.mended for f in out.inputs] == [True]
+    assert hj.RigFile.from_text(out.rig_file).channels["psi"].invert
 
 
 def test_a_sensor_that_stands_and_one_that_clips(honest):

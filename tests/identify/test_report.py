@@ -597,6 +597,7 @@ def test_an_input_that_looks_wrong_is_said_first(tmp_path):
         {
             "input": "area", "finding": "factor", "factor": 0.98, "error": 6.9,
             "error_if_mended": 4.1, "unit": "N", "says": "area is 2 % too large",
+            "lines": {}, "mended": False,
         }
     ]  # fmt: skip
     assert report["sentence"].startswith("An input looks wrong")

@@ -100,6 +100,12 @@ def refusal(tmp_path: Path, text: str, *words: str) -> None:
         assert word in line
 
 
+@pytest.mark.parametrize("scale", ["0", "-2", '"2"', "inf", "nan", "true"])
+def test_a_scale_that_is_none(tmp_path: Path, scale: str) -> None:
+    text = swapped("invert = true", f"scale = {scale}")
+    refusal(tmp_path, text, "[channels] u.scale", "expected a positive number")
+
+
 # What is read
 
 
@@ -115,7 +121,7 @@ def test_sound_rig(tmp_path: Path) -> None:
     )
     assert rig.output_load == {"F": 0.0}
     assert rig.channels["u"].model_dump() == {
-        "column": "MainU", "unit": "V", "invert": True,
+        "column": "MainU", "unit": "V", "invert": True, "scale": 1.0,
     }  # fmt: skip
     assert rig.channels["F"].unit is None
     assert not rig.channels["F"].invert

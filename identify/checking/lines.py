@@ -1,0 +1,81 @@
+"""Lines of a rig file that mend an input, and how a message has them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from hydrojax.logs.tables import Channel
+from hydrojax.rigfile.edit import text
+from hydrojax.rigfile.schema import RigFile
+
+Lines = Mapping[str, Mapping[str, Any]]
+"""By section and key, what a rig file should say there; plain values of TOML."""
+
+
+def columns(spec: RigFile, names: Sequence[str], **more: Any) -> Lines:
+    """[channels] that reads signals in another way.
+
+    Args:
+        spec: the rig file as it is.
+        names: the signals.
+        more: what a channel says beside what it says already.
+    """
+    entries = {}
+    for name in names:
+        given = spec.channels.get(name, Channel(column=name))
+        entries[name] = given.model_dump(exclude_defaults=True) | more
+    return {"channels": entries}
+
+
+def scaled(spec: RigFile, names: Sequence[str], factor: float) -> Lines:
+    """[channels] that reads signals times a factor."""
+    entries = {}
+    for name in names:
+        given = spec.channels.get(name, Channel(column=name))
+        entries |= columns(spec, [name], scale=given.scale * factor)["channels"]
+    return {"channels": entries}
+
+
+def turned(spec: RigFile, names: Sequence[str]) -> Lines:
+    """[channels] that reads signals with the other sign.
+
+    The position that a sensor reads at mid-stroke changes its sign with it.
+    """
+    first = spec.channels.get(names[0])
+    lines = columns(spec, names, invert=not (first and first.invert))
+    if names[0] == "x" and (mid := spec.geometry.get("x_mid", 0.0)):
+        return {**lines, "geometry": {"x_mid": text(-mid, "m")}}
+    return lines
+
+
+def exchanged(spec: RigFile, one: str, other: str) -> Lines:
+    """[channels] that reads two signals from each other's columns."""
+    own = {n: spec.channels.get(n, Channel(column=n)) for n in (one, other)}
+    pairs = {one: own[other], other: own[one]}
+    return {
+        "channels": {n: c.model_dump(exclude_defaults=True) for n, c in pairs.items()}
+    }
+
+
+def written(lines: Lines) -> str:
+    """The lines as a rig file has them, on one line of a message."""
+    return " and ".join(
+        f"[{section}] " + "; ".join(f"{k} = {_plain(v)}" for k, v in own.items())
+        for section, own in lines.items()
+    )
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        own = ", ".join(f"{k} = {_plain(v)}" for k, v in value.items())
+        return f"{{ {own} }}"
+    return json.dumps(value)
+
+
+def as_read(spec: RigFile, lines: Lines) -> RigFile:
+    """The rig file with the channels of these lines, for the words of what follows."""
+    new = {n: Channel(**entry) for n, entry in lines.get("channels", {}).items()}
+    return replace(spec, channels={**spec.channels, **new})
