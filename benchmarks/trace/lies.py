@@ -4,7 +4,8 @@
 folders of `python -m benchmarks.trace --out`), tells lies of those in which nothing is
 hidden, and prints how many are called by their name; and of every case as it is, how
 often an input is blamed that is right. With `--traced N` it traces N of these lies
-instead, and prints what the trace made of each.
+instead, and prints what the trace made of each; with `--every` too, of cases in which
+something is hidden, and prints whether it was named beside the lie.
 """
 
 from __future__ import annotations
@@ -162,13 +163,12 @@ def _checked(text: str, logs: list[Any]) -> Any:
     return api.check(RigFile.from_text(text), logs)
 
 
-def _hidden(folder: Path) -> tuple[str, bool]:
-    """The kind of a case, and whether it hides nothing but usual noise."""
+def _hides(folder: Path) -> tuple[str, ...] | None:
+    """What a case hides; None where it is nothing that has a name, or is not known."""
     if not (folder / "truth.json").exists():
-        return "given", False
+        return None
     truth = json.loads((folder / "truth.json").read_text())
-    outside = truth["kind"] == "outside"
-    return truth["kind"], not (truth["effects"] or outside)
+    return None if truth["kind"] == "outside" else tuple(truth["effects"])
 
 
 def _aliases(folder: Path) -> set[str]:
@@ -223,6 +223,7 @@ class Traced:
         verdict: of the trace, or the line that refused it.
         effects: the names it gave.
         aliased: whether one of them looks just like an input that lies.
+        hidden: what the case hides beside it.
     """
 
     case: str
@@ -231,12 +232,14 @@ class Traced:
     verdict: str
     effects: tuple[str, ...] = ()
     aliased: bool = False
+    hidden: tuple[str, ...] = ()
 
     @property
     def fooled(self) -> bool:
         """Whether it ends well by an effect that is not there, without a word of it."""
         alone = not (self.named or self.aliased)
-        return self.verdict == "explained" and bool(self.effects) and alone
+        false = {*self.effects} - {*self.hidden}
+        return self.verdict == "explained" and bool(false) and alone
 
 
 def traced(folders: Sequence[Path], number: int) -> Iterator[Traced]:
@@ -261,13 +264,15 @@ def traced(folders: Sequence[Path], number: int) -> Iterator[Traced]:
             continue
         outcome = out.outcome
         names = tuple(e.name for e in outcome.effects)
+        hidden = _hides(folder) or ()
         yield Traced(
             folder.name,
             lie.name,
             named(outcome.inputs, lie),
             outcome.verdict,
             names,
-            any(ALIASES.get(n, set()) & set(lie.inputs) for n in names),
+            any(ALIASES.get(n, set()) & set(lie.inputs) for n in {*names} - {*hidden}),
+            hidden,
         )
 
 
@@ -275,6 +280,7 @@ def _print_traced(rows: Iterator[Traced]) -> None:
     done = []
     for row in rows:
         effects = ", ".join(row.effects) or "-"
+        effects += f" of {', '.join(row.hidden)}" if row.hidden else ""
         blamed = "blamed" if row.named else "not blamed"
         print(
             f"{row.case}, {row.lie}: {blamed}, {row.verdict}, named {effects}",
@@ -284,6 +290,8 @@ def _print_traced(rows: Iterator[Traced]) -> None:
     blamed, fooled = (sum(r.named for r in done), sum(r.fooled for r in done))
     print(f"Of {len(done)} lies traced {blamed} are blamed; {fooled} end `explained`")
     print("by an effect that is not there, without a word of the input that lies.")
+    exact = sum({*r.effects} == {*r.hidden} for r in done)
+    print(f"In {exact} the effects named are those that the case hides, or none.")
 
 
 def main(
@@ -302,7 +310,8 @@ def main(
     ensure_jax()
     places = sorted(p.parent for root in folder for p in root.rglob("rig.toml"))
     if to_trace:
-        _print_traced(traced([p for p in places if _hidden(p)[1]], to_trace))
+        kept = [p for p in places if (_hides(p) if every else _hides(p) == ())]
+        _print_traced(traced(kept, to_trace))
         return
     rows = honest(places)
     blamed = [(name, wrong) for name, wrong, _ in rows if wrong]
@@ -311,7 +320,7 @@ def main(
     for name, wrong in blamed:
         print(f"- {name}: {wrong}")
     print(f"\nSeconds a check: median {np.median(slow):.2f}, worst {slow[-1]:.2f}.\n")
-    bare = [p for p in places if every or _hidden(p)[1]]
+    bare = [p for p in places if every or _hides(p) == ()]
     score: dict[str, list[bool]] = {}
     missed: dict[str, list[str]] = {}
     for place in bare[:: max(len(bare) // most, 1)][:most]:
