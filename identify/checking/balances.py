@@ -142,6 +142,7 @@ FLOW_RIVALS: Mapping[str, tuple[str, ...]] = {
     "supply_line_drop": ("drop_p1", "drop_n1", "drop_p2", "drop_n2"),
     "valve_lag": ("late_p1", "late_n1", "late_p2", "late_n2"),
     "valve_hysteresis": ("play_1", "play_2"),
+    "pressure_compensation": ("even_p1", "even_n1", "even_p2", "even_n2"),
 }
 """Columns that stand for what effects of the hydraulics do, to first order."""
 
@@ -164,6 +165,8 @@ def flow_rivals(s: EvenTicks, g: Geometry, ticks: int) -> Table:
             f"drop_n{i}": own * drain * t.shuts**2,
             f"late_p{i}": own * np.diff(supply, axis=0, prepend=supply[:1]),
             f"late_n{i}": own * np.diff(drain, axis=0, prepend=drain[:1]),
+            f"even_p{i}": own * t.opens * 1e3 * t.h,
+            f"even_n{i}": -own * t.shuts * 1e3 * t.h,
             f"play_{i}": own * turning * np.where(t.opens > 0, t.fill, t.drain) * t.h,
         }
     return t.table(ticks, each)

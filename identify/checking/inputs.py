@@ -12,6 +12,7 @@ from jaxtyping import Float
 from hydrojax.errors import InputError
 from hydrojax.identify.checking.balances import (
     EDGES,
+    FLOW,
     FLOW_RIVALS,
     FRICTION,
     OFFSETS,
@@ -123,14 +124,13 @@ class Inputs:
         own = (force_table(s, self.geometry, shape, ticks) for s in self.stretches)
         return Table.stacked(list(own))
 
-    def flow_errors(self, names: Sequence[str]) -> dict[str, float]:
-        """RMS left of the flow balance with each rival effect beside `names`."""
+    @cached_property
+    def flow_error_beside_effects(self) -> float:
+        """RMS left of the flow balance with all rival effects in it, m^3."""
         own = [flow_rivals(s, self.geometry, self.ticks[0]) for s in self.stretches]
         table = self.flow.with_columns(Table.stacked(own))
-        return {
-            effect: solved(table, (*names, *more)).error
-            for effect, more in FLOW_RIVALS.items()
-        }
+        more = (n for names in FLOW_RIVALS.values() for n in names)
+        return solved(table, (*FLOW, *dict.fromkeys(more))).error
 
     def force_rivals(self, shape: Shape) -> Table:
         """Columns of effects beside those of `force`; see `force_rivals`."""
