@@ -36,8 +36,8 @@ def worst(outcome: Outcome) -> tuple[str, ChannelErrors] | None:
 def headline(outcome: Outcome) -> str:
     """What was found, in two lines at most; the outcome's sentence says all of it."""
     lead = ""
-    if mended := ", ".join(f.input for f in outcome.inputs if f.mended):
-        lead = f"{mended}: as given it looks wrong, and was mended first. "
+    if mended := [f.input.replace(", ", " and ") for f in outcome.inputs if f.mended]:
+        lead = f"As given, {_phrase(mended)} looked wrong: mended first. "
     elif outcome.inputs:
         lead = f"Check {outcome.inputs[0].input} first: it looks wrong. "
     found = worst(outcome)

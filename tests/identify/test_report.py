@@ -14,6 +14,7 @@ import pytest
 
 from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.report import explorer, figures, residuals, write
+from hydrojax.identify.report.headline import headline
 from hydrojax.identify.results.outcome import (
     Candidate,
     ChannelErrors,
@@ -603,6 +604,19 @@ def test_an_input_that_looks_wrong_is_said_first(tmp_path):
     assert report["sentence"].startswith("An input looks wrong")
     assert "area is 2 % too large" in report["sentence"]
     assert "Inputs that look wrong" in (tmp_path / "report.html").read_text()
+
+
+def test_an_input_that_was_mended_is_said_to_be(tmp_path):
+    lines = {"channels": {"u": {"column": "u", "invert": True}}}
+    sign = Finding("u", "sign", -1.0, 9.0, 1.0, "Pa", "u runs against", lines)
+    area = Finding("area", "factor", 0.98, 6.9, 4.1, "N", "area is 2 % too large")
+    outcome = with_inputs(explained(), (sign, area), mended=True)
+    assert [f.mended for f in outcome.inputs] == [True, False]
+    assert headline(outcome).startswith("As given, u looked wrong: mended first.")
+    assert "With it mended: " in outcome.sentence
+    write.write_report(outcome, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("This report is of the mended input.") == 1
 
 
 def test_nothing_is_said_of_inputs_that_are_plausible(tmp_path):
