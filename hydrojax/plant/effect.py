@@ -306,6 +306,8 @@ class HysteresisForce(Effect):
     place = "hysteresis"
     needs = ("F",)
     residual_axis = "x"
+    remembered: ClassVar[tuple[str, ...] | None] = None
+    """Parameters on which `reach` and `deflection` depend; None for all."""
 
     def reach(self) -> Float[Array, ""]:
         """The deflection at which it slides, m."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from hydrojax.identify.case import Case
-from hydrojax.identify.discovery.free_form import FORMS
+from hydrojax.identify.discovery.free_form import FORMS, SLIPS, deflection_name
 from hydrojax.identify.discovery.laid import laid_over
 from hydrojax.identify.discovery.search import Search, search
 from hydrojax.identify.discovery.shown import found_curves
@@ -22,7 +23,8 @@ from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
-from hydrojax.plant.replay import friction_memory
+from hydrojax.plant.friction import run_stop
+from hydrojax.plant.replay import Motion, friction_memory
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_rig, effects_of
 
@@ -72,12 +74,29 @@ def samples_of(data: Data, rig: Rig) -> dict[str, Float[np.ndarray, "rows"]]:
         return np.asarray(y)[:, lead:].ravel()
 
     P_1, P_2 = rows(w.P_a1), rows(w.P_a2)
-    z = friction_memory(rig, data.motion).within(w).z
+    past = friction_memory(rig, data.motion)
+    z = past.within(w).z
     out = {"v": rows(w.v), "x": rows(w.x), "a": rows(w.a), "t": rows(w.t), "z": rows(z)}
+    out |= {
+        deflection_name(slip): rows(past._replace(slips=(way,)).within(w).slips[0])
+        for slip, way in deflections(data.motion)
+    }
     out |= {"P_mean": (P_1 + P_2) / 2, "P_net": P_2 - P_1}
     if data.driven_by == "u":
         out |= {"u": rows(w.u), "P_a1": P_1, "P_a2": P_2, "P": np.r_[P_1, P_2]}
     return out
+
+
+def deflections(
+    motion: Motion,
+) -> Iterator[tuple[float, Float[np.ndarray, "segments n"]]]:
+    """Of every `SLIPS` that the motion reaches, the deflection at the ticks."""
+    s, _, parts = motion.dx.shape
+    dx = jnp.asarray(motion.dx).reshape(s, -1)
+    for slip in SLIPS:
+        w = np.asarray(run_stop(dx, jnp.asarray(slip), jnp.zeros(s)))
+        if np.any(w == slip) and np.any(w == -slip):
+            yield slip, np.concatenate([np.zeros((s, 1)), w[:, parts - 1 :: parts]], 1)
 
 
 def searched(
@@ -91,7 +110,7 @@ def searched(
     start = begun(case, outcome, progress)
     rig = start.state.problem.model.rig
     fit, check = (samples_of(data, rig) for data in (case.fit, case.check))
-    laid = laid_over(fit)
+    laid = laid_over({name: own for name, own in fit.items() if name in check})
     end = search(start, laid)
     curves = found_curves(end, start, case, fit, check)
     notes = outcome.notes

@@ -21,6 +21,7 @@ BASES = {
     "compliance": "ComplianceEffect",
     "level": "LevelEffect",
     "friction": "FrictionForce",
+    "hysteresis": "HysteresisForce",
     "force": "ForceEffect",
 }
 METHODS = {
@@ -28,17 +29,19 @@ METHODS = {
     "compliance": ("compliance(self, P)", "{}"),
     "level": ("level(self, at, base)", "{}"),
     "friction": ("force(self, at)", "{}"),
+    "hysteresis": ("force(self, w)", "{}"),
     "force": ("force(self, at)", "{}"),
 }
 SIGNALS = {
     **{name: f"at.{name}" for name in ("v", "x", "a", "t", "z")},
     "u": "u",
+    "w": "w",
     "P": "P",
     "P_mean": "(at.P_a1 + at.P_a2) / 2",
     "P_net": "at.P_a2 - at.P_a1",
 }
 FLOWING = {"v": "at.v", "u": "spool", "P_net": "at.P_a2 - at.P_a1"}
-AXES = {"P_mean": "P_a1 + P_a2", "P_net": "P_a1 - P_a2", "P": "P_a1 + P_a2"}
+AXES = {"w": "x", "P_mean": "P_a1 + P_a2", "P_net": "P_a1 - P_a2", "P": "P_a1 + P_a2"}
 """What a residual is drawn against, by signal, where it is not the signal."""
 
 NAMES = ("logaddexp(", "exp(", "sign(", "maximum(", "sin(", "cos(", "tanh(", "abs(")
@@ -239,6 +242,8 @@ def _law(law: FoundLaw) -> list[str]:
     lines = ["    def along(self, s):", f"        return {body}", ""]
     if law.term.place == "flow":
         return [*lines, *_flow(law.term)]
+    if law.term.slip:
+        lines += ["    def reach(self):", f"        return {law.term.slip!r}  # m", ""]
     head, out = METHODS[law.term.place]
     factor = "at.v * " if law.term.factor == "v" else ""
     call = f"{factor}self.along({SIGNALS[law.term.signal]})"

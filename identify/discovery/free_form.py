@@ -25,6 +25,7 @@ from hydrojax.plant.effect import (
     FlowEffect,
     ForceEffect,
     FrictionForce,
+    HysteresisForce,
     LevelEffect,
 )
 
@@ -112,6 +113,24 @@ class FreeFriction(_OnPiston, FrictionForce):
         return self.at(at)
 
 
+class FreeHysteresis(FreeForm, HysteresisForce):
+    """A curve over the way since the piston turned, up to `slip` (m) to either side of
+    where it slides: a spring of any law behind a friction.
+    """
+
+    name = "free_hysteresis"
+    remembered = ()
+    slip: Float[Array, ""] = _array(1e-3)
+
+    def reach(self):
+        """The deflection at which it slides, m."""
+        return self.slip
+
+    def force(self, w):
+        """The curve as a force at a deflection (m), N."""
+        return self.along((w,))
+
+
 class FreeForce(_OnPiston, ForceEffect):
     """A curve added to the force at the load cell."""
 
@@ -167,6 +186,7 @@ FORMS: tuple[type[FreeForm], ...] = (
     FreeCompliance,
     FreeLevel,
     FreeFriction,
+    FreeHysteresis,
     FreeForce,
 )
 """In the order of the signal path."""
@@ -184,6 +204,7 @@ class Term:
         times: index of the factor among 1 and the signals of the place.
         size: a typical value of the curve, SI.
         share: of a flow, by chamber.
+        slip: of what has hysteresis, the deflection at which it slides, m.
     """
 
     form: type[FreeForm]
@@ -195,6 +216,12 @@ class Term:
     factor: str = ""
     times: int = 0
     share: tuple[float, float] = (1.0, 1.0)
+    slip: float = 0.0
+
+    @property
+    def sampled(self) -> str:
+        """What `samples_of` calls the signal."""
+        return deflection_name(self.slip) if self.slip else self.signal
 
     @property
     def place(self) -> str:
@@ -207,11 +234,15 @@ class Term:
         chamber = {(1.0, 0.0): "_1", (0.0, 1.0): "_2", (1.0, -1.0): "_across"}
         place = f"{self.place}{chamber.get(self.share, '')}"
         by = f"_per_{self.factor}" if self.factor else ""
-        return f"free_{place}{by}_{self.signal}"
+        return f"free_{place}{by}_{self.sampled}"
 
     def laid(self, knots: Float[np.ndarray, "n+4"]) -> FreeForm:
         """The effect, absent, over these knots."""
-        own = {"share": jnp.asarray(self.share)} if self.form is FreeFlow else {}
+        own: dict[str, Array] = {}
+        if self.form is FreeFlow:
+            own = {"share": jnp.asarray(self.share)}
+        if self.form is FreeHysteresis:
+            own = {"slip": jnp.asarray(self.slip)}
         return self.form(
             knots=jnp.asarray(knots, float),
             signal=jnp.asarray(np.eye(7)[self.which]),
@@ -239,6 +270,15 @@ def _piston(form: type[FreeForm], names: Sequence[str]) -> list[Term]:
     return [Term(form, n, order.index(n), PISTON[n], "N", 100.0) for n in names]
 
 
+SLIPS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+"""Deflections at which what has hysteresis is taken to slide, m."""
+
+
+def deflection_name(slip: float) -> str:
+    """What samples and names call the deflection of what slides there: `w_300um`."""
+    return f"w_{1e6 * slip:.0f}um"
+
+
 _BOTH, _FIRST, _SECOND, _ACROSS = (1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (1.0, -1.0)
 
 TERMS: tuple[Term, ...] = (
@@ -263,6 +303,7 @@ TERMS: tuple[Term, ...] = (
     Term(FreeLevel, "P_mean", 3, "Pa", "N*s/m", 1e3, "v", 1),
     *_piston(FreeFriction, ("v", "z", "a", "P_net")),
     Term(FreeFriction, "P_mean", 3, "Pa", "N*s/m", 1e3, "v", 1),
+    *(Term(FreeHysteresis, "w", 0, "m", "N", 100.0, slip=slip) for slip in SLIPS),
     *_piston(FreeForce, ("x", "v", "a", "P_net", "t")),
 )
 """What is searched, all of it counted in the family-wise p-values."""

@@ -29,7 +29,7 @@ def laid_over(samples: Samples) -> list[Laid]:
     """Every term whose signal the logs move, over their range."""
     out = []
     for term in TERMS:
-        rows = samples.get(term.signal)
+        rows = samples.get(term.sampled)
         if rows is not None and np.ptp(np.quantile(rows, [0.01, 0.99])) > 0:
             out.append(Laid(term, term.laid(knots_over(rows, COUNT))))
     return out

@@ -47,7 +47,7 @@ def _shown(at, curve: Curve, columns, case: Case, fit, check) -> FoundCurve:
     names = state.problem.model.names
     own = [names.index(n) for n in coefficients(curve.laid.effect)]
     c, knots = state.point.values[own], np.asarray(curve.laid.effect.knots)
-    rug, rest = fit[term.signal], check[term.signal]
+    rug, rest = fit[term.sampled], check[term.sampled]
     seen = (float(knots[0]), float(knots[-1]))
     ends = min(seen[0], float(rest.min())), max(seen[1], float(rest.max()))
     s = np.linspace(*ends, POINTS)

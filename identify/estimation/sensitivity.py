@@ -53,6 +53,7 @@ def memory_names(rig: Rig) -> tuple[str, ...]:
         f"{effect.name}.{field}"
         for effect in (*rig.stretch, *rig.velocity, *rig.hysteresis)
         for field in specs(effect)
+        if getattr(effect, "remembered", None) is None or field in effect.remembered
     )
     return ("z_ss", "L_rate", *moved)
 

@@ -1,12 +1,15 @@
 """Curves from sums: smoothing, bands and formulas against regressions in NumPy."""
 
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+import hydrojax as hj
 from hydrojax.effects.splines import knots_over
+from hydrojax.identify.discovery.discover import deflections
 from hydrojax.identify.discovery.formula import FORMS, formula_of
 from hydrojax.identify.discovery.search import above_noise
 from hydrojax.identify.discovery.smooth import (
@@ -140,3 +143,51 @@ def test_forms_have_a_term_for_each_power():
     s = np.linspace(-1, 1, 7)
     for form in FORMS:
         assert len(form.of(s, 0.5)) == len(form.powers) == len(form.code)
+
+
+# -- what has hysteresis --
+
+
+def slid(x, slip):
+    """The deflection of what slides at `slip`, after each position but the first."""
+    w, out = 0.0, []
+    for dx in np.diff(x):
+        w = min(max(w + dx, -slip), slip)
+        out.append(w)
+    return np.array(out)
+
+
+def test_deflections_are_those_of_a_stop():
+    rng = np.random.default_rng(3)
+    x = np.cumsum(rng.normal(size=(2, 801)) * 4e-5, axis=1)
+    motion = Mock(dx=np.diff(x, axis=1).reshape(2, 200, 4))
+    found = dict(deflections(motion))
+    assert set(found) == {1e-4, 3e-4}  # beyond, the motion does not make it slide
+    for slip, w in found.items():
+        assert w.shape == (2, 201) and not np.any(w[:, 0])
+        for own, way in zip(w[:, 1:], x, strict=True):
+            np.testing.assert_allclose(own, slid(way, slip)[3::4], atol=1e-15)
+
+
+@pytest.mark.slow
+def test_a_hysteretic_tether_is_found_as_a_curve(recorded):
+    """A hardening spring that slips, put into the logs by a loop of plain Python."""
+    folder, slip, most = recorded(1), 1e-3, 25.0
+    rig = hj.RigFile.load(folder / "rig.toml")
+
+    def tethered(name):
+        log = hj.Log.load(folder / name, rig.channels)
+        w = np.r_[0.0, slid(log.signals["psi"] * rig.geometry["radius"], slip)]
+        force = log.signals["F"] - most * (w / slip) ** 3
+        return replace(log, signals=log.signals | {"F": force})
+
+    logs = [tethered(f"fit_{i}.csv") for i in (1, 2)]
+    result = hj.fit(rig, logs, validate=[tethered("validate.csv")])
+    (curve,) = hj.discover(result).outcome.curves
+    assert curve.name == "free_hysteresis_w_1000um"
+    noise = result.outcome.channels["F"].noise
+    assert curve.before["F"] > 1.4 * noise and curve.after["F"] < 1.05 * noise
+    law = most * (curve.rug / slip) ** 3
+    off = np.interp(curve.rug, curve.s, curve.y) - law
+    assert np.std(off) < 0.04 * most
+    assert "w**3" in curve.law

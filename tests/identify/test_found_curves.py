@@ -43,7 +43,7 @@ from hydrojax.report.schema import report_schema
 
 TERM = {term.name: term for term in TERMS}
 FORM = {form.name: form for form in FORMS}
-SPANS = {"v": (-0.02, 0.02), "P": (1e6, 9e6), "x": (-0.01, 0.01)}
+SPANS = {"v": (-0.02, 0.02), "P": (1e6, 9e6), "x": (-0.01, 0.01), "w": (-1e-3, 1e-3)}
 
 
 def law(term: str, formula: Formula | None = None) -> FoundLaw:
@@ -165,6 +165,15 @@ def test_a_curve_is_an_effect_of_one_strength(tmp_path, vocabulary):
     want = BSpline(made.knots, made.coefficients, 3)(3e6)
     np.testing.assert_allclose(float(filling), 2 * 0.5 * want, rtol=1e-5)
     assert float(other) == 0.0
+
+
+def test_a_curve_with_hysteresis_is_an_effect_that_slides(tmp_path, vocabulary):
+    made = law("free_hysteresis_w_1000um")
+    kind = written(tmp_path, found(made, "none"))
+    w = np.linspace(-9e-4, 9e-4, 7)
+    want = BSpline(made.knots, made.coefficients, 3)(w)
+    np.testing.assert_allclose(kind(amount=2.0).force(w), 2 * want, rtol=1e-5)
+    assert kind().reach() == 1e-3
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)
