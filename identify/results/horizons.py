@@ -4,6 +4,7 @@ plant: the value held as a run began, and a linear autoregressive model (ARX).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import jax
@@ -14,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from hydrojax.identify.estimation.columns import Batch, ParametricRig, filled
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
-from hydrojax.identify.results.outcome import Horizon
+from hydrojax.identify.results.outcome import ChannelErrors, Horizon, skill_text
 from hydrojax.parameters import put
 from hydrojax.plant.replay import at_start, friction_memory, pressures, readings
 from hydrojax.programs.compiled import program_of_pytrees
@@ -66,6 +67,42 @@ def horizons_of(
     return out
 
 
+GOOD_SKILL = 0.9
+"""Skill through whole logs from which nothing is said of it."""
+LONG = 3.0
+"""Seconds of the runs that are proposed where it is less: on a machine with nine
+effects at once they take it from below 0 to 0.4 and 0.8 (docs/results.md)."""
+
+
+def drifting(
+    channels: Mapping[str, ChannelErrors], verdict: str, length: float
+) -> list[str]:
+    """What to do about pressures that a model follows for a while only: of one that is
+    not whole other values do best over longer runs.
+
+    Args:
+        channels: errors by channel.
+        verdict: of the run.
+        length: of a window, s.
+    """
+    if verdict != "unknown" or length >= LONG:
+        return []
+    whole = {n: c.horizons["free"] for n, c in channels.items() if "free" in c.horizons}
+    poor = {
+        name: h
+        for name, h in whole.items()
+        if name != "F" and (h.skill is None or h.skill < GOOD_SKILL)
+    }
+    if not poor:
+        return []
+    skills = " and ".join(f"{n} has skill {skill_text(h)}" for n, h in poor.items())
+    return [
+        f"through whole logs {skills}: the values found are those for runs of "
+        f"{length:g} s; `hydrojax identify` of the rig file found, with --horizon "
+        f"{LONG:g}, finds those for longer ones"
+    ]
+
+
 def _rms(error: np.ndarray) -> float | None:
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.sqrt(np.mean(error**2)) if error.size else np.nan
@@ -87,9 +124,11 @@ def _starts(
     out = {f"{length:g}": (index, np.ones(seg.size, bool))}
     for seconds in LONGER:
         count = round(seconds / length)
+        if count < 2:
+            continue
         begins = whole + place // count * count
         used = place // count * count + count <= lasts
-        if count > 1 and used.any():
+        if used.any():
             out[f"{seconds:g}"] = (begins, used)
     out["free"] = (whole, np.ones(seg.size, bool))
     return out

@@ -15,7 +15,7 @@ from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
-from hydrojax.identify.results.horizons import horizons_of
+from hydrojax.identify.results.horizons import drifting, horizons_of
 from hydrojax.identify.results.outcome import (
     Candidate,
     ChannelErrors,
@@ -92,6 +92,7 @@ def summarise(
             *_undecided(effects),
             *_same_as_inputs(effects, uncertainty),
             *_untested(case, channels, verdict, state.criteria.at_noise),
+            *drifting(channels, verdict, case.preparation.horizon),
         ),
         notes=_notes(case),
         series=series_of(case, before, after, signals, seen),

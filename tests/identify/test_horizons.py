@@ -7,14 +7,15 @@ nothing missing a run through the whole log stays at the noise.
 from __future__ import annotations
 
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
-from hydrojax.identify.results.horizons import _Arx, _starts
-from hydrojax.identify.results.outcome import Horizon
+from hydrojax.identify.results.horizons import _Arx, _starts, drifting
+from hydrojax.identify.results.outcome import ChannelErrors, Horizon
 from hydrojax.logs.log import Log
 
 
@@ -104,3 +105,28 @@ def test_an_arx_model_of_a_linear_system_is_that_system():
 def test_a_run_that_diverges_has_no_skill():
     assert Horizon(None, None, 1.0, None).skill is None
     assert Horizon(4.0, 2.0, 2.0, 1.0).skill == 0.0
+
+
+def test_a_pressure_that_drifts_is_said_with_what_to_do():
+    def channel(free, unit="Pa"):
+        whole = Horizon(2.0, free, 1.0, None)
+        return ChannelErrors(unit, 1.0, 2.0, 1.5, horizons={"free": whole})
+
+    channels = {"P_a1": channel(2.5), "P_a2": channel(0.1), "F": channel(3.0, "N")}
+    (line,) = drifting(channels, "unknown", 0.25)
+    assert "P_a1 has skill -5.250" in line and "--horizon 3" in line
+    assert "P_a2" not in line and "F has" not in line
+    assert drifting(channels, "explained", 0.25) == []
+    assert drifting(channels, "unknown", 3.0) == []
+    assert "P_a1 has skill –" in drifting({"P_a1": channel(None)}, "unknown", 1.0)[0]
+
+
+@pytest.mark.parametrize("length", [0.25, 1.0, 3.0, 12.0])
+def test_runs_of_less_than_two_windows_are_left_out(length):
+    batch = Mock()
+    batch.windows.seg, batch.windows.first = np.zeros(8, int), 100 * np.arange(8)
+    batch.windows.scored = 100
+    assert list(_starts(batch, length)) == {
+        0.25: ["0.25", "1", "free"], 1.0: ["1", "5", "free"],
+        3.0: ["3", "5", "free"], 12.0: ["12", "free"],
+    }[length]  # fmt: skip
