@@ -9,7 +9,9 @@ from hydrojax.errors import InputError
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, LogSource, RigSource, open_case, read
 from hydrojax.identify.checking.check import Checked, check_inputs
+from hydrojax.identify.checking.mended import mended_case
 from hydrojax.identify.result import Result
+from hydrojax.identify.results.summary import with_inputs
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import ensure_jax
 from hydrojax.rigfile.schema import RigFile
@@ -65,6 +67,9 @@ def trace(
 ) -> Result:
     """Find the effects behind the residual: fit, score, refit, validate, and again.
 
+    Signs, units and constants that look wrong are mended first, and the result is of
+    the mended inputs; `result.outcome.inputs` says which, and the lines to write.
+
     Args:
         rig: a `RigFile`, or the path of one; what has a range in it is fitted.
         logs: to be fitted: each a `Log`, a path, or a DataFrame (`Log.from_frame`).
@@ -80,7 +85,8 @@ def trace(
         InputError: whatever is wrong with rig or logs, in one line.
     """
     case = _opened(rig, logs, validate, test, horizon, criteria)
-    return Result(api.trace_case(case, starts, progress, profile), case)
+    outcome = api.trace_case(case, starts, progress, profile)
+    return Result(outcome, mended_case(case, outcome.inputs))
 
 
 def discover(result: Result, *, progress: Progress = lambda _: None) -> Result:
@@ -128,6 +134,8 @@ def retraced(
     """
     outcome = api.trace_case(result.case, starts, progress, profile)
     outcome = replace(outcome, curves=result.curves)
+    known = result.outcome.inputs
+    outcome = with_inputs(outcome, known, any(f.mended for f in known))
     return Result(outcome, result.case)
 
 

@@ -15,7 +15,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.check import check_inputs
-from hydrojax.identify.checking.mended import mended
+from hydrojax.identify.checking.mended import mended_case
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
@@ -175,9 +175,8 @@ def trace_case(
         ready = _Ready.of(case, pool)
         progress("check the inputs")
         found = check_inputs(case.spec, case.read_logs).found
-        right = mended(case.spec, case.as_read, found)
-        if right is not None:
-            case = case.again(*right)
+        given, case = case, mended_case(case, found)
+        if case is not given:
             ready = _Ready.of(case, pool)
         problem, free = ready.problem, ready.free
         early, values, done, point = _fit_base(
@@ -195,7 +194,7 @@ def trace_case(
     )
     state = shed(_on_all(done, _searched(case, search_effects(start))))
     outcome = _outcome("trace", case, state, point, began, compiled, progress, profile)
-    return with_inputs(outcome, found, right is not None)
+    return with_inputs(outcome, found, case is not given)
 
 
 @dataclass(frozen=True)

@@ -106,6 +106,7 @@ def run(folder: Path, kind: str, traced: bool) -> Row:
     """One case: fit or trace, then the curves, beside the truth."""
     from hydrojax.identify import api
     from hydrojax.identify.case import open_case
+    from hydrojax.identify.checking.mended import mended_case
     from hydrojax.identify.discovery.discover import searched
 
     truth = json.loads((folder / "truth.json").read_text())
@@ -113,6 +114,8 @@ def run(folder: Path, kind: str, traced: bool) -> Row:
     began = time.process_time()
     case = open_case(folder / "rig.toml", fit, check)
     first = api.trace_case(case) if traced else api.identify(case, starts=1)
+    if traced:
+        case = mended_case(case, first.inputs)
     spent = [time.process_time() - began]
     end, outcome = searched(case, first)
     spent.append(time.process_time() - began - spent[0])

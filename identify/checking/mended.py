@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from hydrojax.identify.case import Case
 from hydrojax.identify.checking.words import Finding
 from hydrojax.logs.log import Log
 from hydrojax.rigfile.edit import with_lines
@@ -37,6 +38,16 @@ def mended(
     new = RigFile.from_text(content, spec.path, spec.valve)
     read = tuple(tuple(_again(g, wanted, new) for g in group) for group in groups)
     return replace(new, command_unit=spec.command_unit, law=spec.law), read
+
+
+def mended_case(case: Case, found: Sequence[Finding]) -> Case:
+    """The case with what was found in its inputs mended; itself where that is nothing.
+
+    Raises:
+        InputError: the mended inputs cannot be made ready; see `open_case`.
+    """
+    right = mended(case.spec, case.as_read, found)
+    return case if right is None else case.again(*right)
 
 
 def to_be_mended(f: Finding) -> bool:

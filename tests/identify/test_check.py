@@ -155,6 +155,8 @@ def test_a_trace_mends_the_input_and_goes_on(honest, recorded):
     assert out.sentence.startswith("An input looks wrong: psi runs against")
     assert "With it mended: Nothing is missing" in out.sentence
     assert [f.mended for f in out.inputs] == [True]
+    for own, log in zip(result.case.fit_logs, logs, strict=True):
+        assert own.signals["psi"] == pytest.approx(log.signals["psi"])
     assert hj.RigFile.from_text(out.rig_file).channels["psi"].invert
 
 
