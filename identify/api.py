@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import jax
@@ -32,6 +33,7 @@ from hydrojax.identify.estimation.starts import best_start
 from hydrojax.identify.inference.profile import profiles
 from hydrojax.identify.inference.tolerance import with_tolerances
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
+from hydrojax.identify.longer import with_long_runs
 from hydrojax.identify.motion.predict import check_drive, predict_motion
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
@@ -194,7 +196,13 @@ def trace_case(
     )
     state = shed(_on_all(done, _searched(case, search_effects(start))))
     outcome = _outcome("trace", case, state, point, began, compiled, progress, profile)
+    outcome = with_long_runs(case, outcome, partial(_fitted_longer, progress=progress))
     return with_inputs(outcome, found, case is not given)
+
+
+def _fitted_longer(case: Case, progress: Progress) -> Outcome:
+    progress("fit longer runs")
+    return identify(case, 1, progress)
 
 
 @dataclass(frozen=True)

@@ -114,20 +114,25 @@ class Case:
         """The logs that are fitted, as they were read."""
         return self.as_read[0]
 
-    def again(self, spec: RigFile, logs: Sequence[Sequence[Log]]) -> Case:
+    def again(
+        self,
+        spec: RigFile,
+        logs: Sequence[Sequence[Log]],
+        horizon: float | None = None,
+    ) -> Case:
         """The case with another rig file, and its logs as that reads them.
 
         Args:
             spec: the rig file.
             logs: to fit, to validate and to test.
+            horizon: length of a window, s; None for the case's own.
 
         Raises:
             InputError: see `open_case`.
         """
         fit, validate, test = (tuple(group) for group in logs)
-        return _prepared(
-            spec, fit, validate, test, self.preparation.horizon, self.criteria
-        )
+        length = self.preparation.horizon if horizon is None else horizon
+        return _prepared(spec, fit, validate, test, length, self.criteria)
 
 
 def open_case(

@@ -121,6 +121,14 @@ class Result:
         return frame
 
     @cached_property
+    def long_rig(self) -> RigFile | None:
+        """The rig file with values for longer runs; None where whole logs are
+        predicted with skill, or nothing is unexplained.
+        """
+        long = self.outcome.long_runs
+        return self.case.spec.with_text(long.rig_file) if long else None
+
+    @cached_property
     def motion_rig(self) -> RigFile | None:
         """The rig file whose values predict the motion best; None where [load] has no
         `predicts`, or nothing has a mass.

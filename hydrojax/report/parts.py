@@ -145,6 +145,16 @@ class MotionRecord(Part):
     )
 
 
+class LongRunsRecord(Part):
+    """Values for longer runs than a window, which rig_long.toml has."""
+
+    seconds: float = Field(description="length of the runs that they are fitted to")
+    channels: dict[Name, HorizonRecord] = Field(
+        description="errors through whole logs: `before` with `parameters`, `after` "
+        "with those of rig_long.toml"
+    )
+
+
 class CandidateRecord(Part):
     """What became of an effect that was tried."""
 

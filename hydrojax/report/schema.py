@@ -19,6 +19,7 @@ from hydrojax.report.parts import (
     FileRecord,
     InputRecord,
     LogsRecord,
+    LongRunsRecord,
     LoopRecord,
     MadeRecord,
     MotionRecord,
@@ -86,6 +87,11 @@ class Report(Part):
         None,
         description="how the position was predicted, where [load] has `predicts`; its "
         "errors are those of channel `x`",
+    )
+    long_runs: LongRunsRecord | None = Field(
+        None,
+        description="values for longer runs, where the model found has no skill "
+        "through whole logs and other values have more",
     )
     closed_loop: list[LoopRecord] = Field(
         [], description="measured loops, run again in simulation"

@@ -290,7 +290,8 @@ def report_page(
 
 def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None:
     """Write report.json, report.html, the figures and rig.toml into `folder`, and
-    my_effects.py where curves were found, rig_motion.toml where motion was predicted.
+    my_effects.py where curves were found, rig_motion.toml where motion was predicted,
+    rig_long.toml where longer runs have other values.
 
     All is made before the first file appears; a report that stands there is replaced,
     and files that are not a report's stay.
@@ -310,5 +311,7 @@ def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None
         files["rig.toml"] = outcome.rig_file.encode()
     if outcome.motion:
         files["rig_motion.toml"] = outcome.motion.rig_file.encode()
-    old = ["rig_motion.toml", *(f"report_{p}.png" for p in PICTURES)]
+    if outcome.long_runs:
+        files["rig_long.toml"] = outcome.long_runs.rig_file.encode()
+    old = ["rig_motion.toml", "rig_long.toml", *(f"report_{p}.png" for p in PICTURES)]
     write_all(folder, files, obsolete=old)

@@ -255,6 +255,22 @@ class PredictedMotion:
 
 
 @dataclass(frozen=True)
+class LongRuns:
+    """Values for longer runs, of a model that loses its way through whole logs; SI.
+
+    Attributes:
+        seconds: of the runs that they were fitted to.
+        channels: errors through whole logs by channel: `before` with the values found,
+            `after` with these.
+        rig_file: the rig file with these values.
+    """
+
+    seconds: float
+    channels: Mapping[str, Horizon]
+    rig_file: str
+
+
+@dataclass(frozen=True)
 class LogFile:
     """One log of a run.
 
@@ -292,7 +308,8 @@ class Outcome:
     `inputs` what looks wrong with rig file and logs. `validate_logs` are empty where
     none were given: errors are then those of the fitted logs. `files` are the logs;
     `curves` what was found beside the known effects, where it was asked for; `motion`
-    what a rig file predicts of it, which no verdict counts.
+    what a rig file predicts of it, which no verdict counts; `long_runs` values for
+    longer runs, where those found have no skill through whole logs.
     """
 
     command: str
@@ -320,6 +337,7 @@ class Outcome:
     files: tuple[LogFile, ...] = ()
     curves: tuple[FoundCurve, ...] = ()
     motion: PredictedMotion | None = None
+    long_runs: LongRuns | None = None
 
     @property
     def every_channel(self) -> dict[str, ChannelErrors]:

@@ -11,6 +11,7 @@ from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.identify.results.outcome import (
     ChannelErrors,
     FoundEffect,
+    LongRuns,
     LoopCheck,
     Outcome,
     Parameter,
@@ -42,6 +43,7 @@ def report_json(outcome: Outcome) -> dict[str, Any]:
         "candidates": [asdict(c) for c in o.candidates],
         "unexplained": [_unexplained(u) for u in o.unexplained],
         **({"motion": _motion(o.motion)} if o.motion else {}),
+        **({"long_runs": _long_runs(o.long_runs)} if o.long_runs else {}),
         "closed_loop": [_loop(c) for c in o.loops],
         "covariance": asdict(o.covariance) if o.covariance else None,
         "inputs": [asdict(f) for f in o.inputs],
@@ -113,6 +115,11 @@ def _channel(c: ChannelErrors) -> dict[str, Any]:
 def _motion(m: PredictedMotion) -> dict[str, Any]:
     values = {name: asdict(p) for name, p in m.values.items()}
     return {"fitted_to": m.fitted_to, "windows": m.windows, "values": values}
+
+
+def _long_runs(r: LongRuns) -> dict[str, Any]:
+    own = {name: asdict(h) for name, h in r.channels.items()}
+    return {"seconds": r.seconds, "channels": own}
 
 
 def _unexplained(u: Unexplained) -> dict[str, Any]:
