@@ -40,7 +40,7 @@ from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.sentence import motion_sentence
 from hydrojax.identify.results.summary import summarise, with_inputs
 from hydrojax.identify.tracing.loop import search_effects
-from hydrojax.identify.tracing.rivals import shed
+from hydrojax.identify.tracing.rivals import pruned, shed
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.jax_setup import cores
 from hydrojax.parameters import specs
@@ -268,13 +268,16 @@ def _with_noise_found(case: Case, state: Tracing) -> Tracing:
 
 
 def _on_all(problem: Problem, state: Tracing) -> Tracing:
-    """The state fitted on all windows, where effects were looked for on some."""
+    """The state fitted on all windows, where effects were looked for on some: without
+    those that are not needed there.
+    """
     if len(state.problem.batch.P_0) == len(problem.batch.P_0):
         return state
     state.progress("fit to all windows")
     problem = replace(problem, batch=problem.batch._replace(noise=state.noise))
     problem, point = fit_all(problem, state.point.values, state.free)
-    return replace(state, problem=problem, point=point)
+    state = replace(state, problem=problem, point=point)
+    return pruned(state, state.noise, fresh=0)
 
 
 class _Compiling:

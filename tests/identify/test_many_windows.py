@@ -25,7 +25,7 @@ from hydrojax.identify.estimation.pieces import (
     on_all_cores,
 )
 from hydrojax.identify.tracing.loop import search_effects
-from hydrojax.identify.tracing.state import Tracing
+from hydrojax.identify.tracing.state import Added, Tracing, free_names
 from hydrojax.jax_setup import bucket
 
 MISSING, OTHER = "internal_leakage", "valve_bias"
@@ -213,3 +213,11 @@ def test_what_is_found_on_some_windows_is_fitted_to_all(leaking):
     )
     assert np.any(np.abs(found.point.values[index] / direct.values[index] - 1) > 1e-3)
     assert api._on_all(problem, whole) is whole
+    # What chance put beside it on some windows is not needed on all.
+    none = np.full(3, np.nan)
+    both = replace(
+        found,
+        free=(*found.free, *free_names(effects[OTHER])),
+        added=(*found.added, Added(OTHER, 1e-9, none, none, ())),
+    )
+    assert [a.name for a in api._on_all(problem, both).added] == [MISSING]
