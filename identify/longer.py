@@ -8,14 +8,18 @@ from dataclasses import replace
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.results.horizons import LONG, drifting
-from hydrojax.identify.results.outcome import Horizon, LongRuns, Outcome, skill_text
+from hydrojax.identify.results.outcome import LongRuns, Outcome, skill_text
+
+RUNS = (1.0, LONG)
+"""Seconds of the runs that are fitted, one from where the other ended: from the values
+for a quarter of a second a fit to the longest may not find back."""
 
 
 def with_long_runs(
     case: Case, found: Outcome, fit: Callable[[Case], Outcome]
 ) -> Outcome:
-    """The outcome with values fitted to runs of `LONG` seconds, if those found have no
-    skill through whole logs, and these more.
+    """The outcome with values fitted to runs of a second or three, where those found
+    have little skill through whole logs, and these have more in every pressure.
 
     What a model lacks is made up for by other values over a quarter of a second than
     over seconds.
@@ -28,46 +32,53 @@ def with_long_runs(
     advice = drifting(found.channels, found.verdict, case.preparation.horizon)
     if not advice:
         return found
-    try:
-        spec = case.spec.with_text(found.rig_file)
-        other = fit(case.again(spec, case.as_read, LONG))
-    except InputError:  # the logs have no runs as long as that
+    best, text = None, found.rig_file
+    for seconds in RUNS:
+        try:
+            spec = case.spec.with_text(text)
+            other = fit(case.again(spec, case.as_read, seconds))
+        except InputError:  # the logs have no runs as long as that
+            break
+        long = _compared(found, other, seconds)
+        if long is not None and (best is None or _lost(long) < _lost(best)):
+            best, text = long, other.rig_file
+    if best is None:
         return found
-    errors = {
-        name: (found.channels[name].horizons.get("free"), c.horizons.get("free"))
-        for name, c in other.channels.items()
-    }
-    channels = {
-        name: replace(new, before=old.after)
-        for name, (old, new) in errors.items()
-        if old is not None and new is not None
-    }
-    pressures = [h for name, h in channels.items() if name != "F" and h.held]
-    if not pressures or _lost(pressures, True) >= _lost(pressures, False):
-        return found
-    long = LongRuns(LONG, channels, other.rig_file)
-    limits = (*(line for line in found.limits if line not in advice), said(long))
-    return replace(found, long_runs=long, limits=limits)
+    limits = (*(line for line in found.limits if line not in advice), said(best))
+    return replace(found, long_runs=best, limits=limits)
 
 
-def _lost(pressures: list[Horizon], fitted: bool) -> float:
-    """Squared errors over those of a held value, summed; infinite where a run ends."""
-    each = [h.after if fitted else h.before for h in pressures]
-    return sum(
-        float("inf") if e is None else (e / h.held) ** 2
-        for e, h in zip(each, pressures, strict=True)
-    )
+def _compared(found: Outcome, other: Outcome, seconds: float) -> LongRuns | None:
+    """The values of `other`, if no pressure is further off through whole logs."""
+    channels = {}
+    for name, c in other.channels.items():
+        old, new = found.channels[name].horizons.get("free"), c.horizons.get("free")
+        if old is not None and new is not None:
+            channels[name] = replace(new, before=old.after)
+    pressures = [h for name, h in channels.items() if name != "F"]
+    better = [
+        h.after is not None and (h.before is None or h.after < h.before)
+        for h in pressures
+    ]
+    if not better or not all(better):
+        return None
+    return LongRuns(seconds, channels, other.rig_file)
+
+
+def _lost(long: LongRuns) -> float:
+    """Squared errors of the pressures over those of a held value, summed."""
+    own = (h for name, h in long.channels.items() if name != "F" and h.held)
+    return sum((h.after / h.held) ** 2 for h in own if h.after is not None)
 
 
 def said(long: LongRuns) -> str:
     """What became of whole logs, with the file that has the values."""
     skills = " and ".join(
-        f"{name} has skill {skill_text(replace(h, after=h.before))} with the values "
-        f"found and {skill_text(h)} with those of rig_long.toml"
+        f"{name} has skill {skill_text(replace(h, after=h.before))}, and "
+        f"{skill_text(h)} with the values of rig_long.toml"
         for name, h in long.channels.items()
         if name != "F"
     )
     return (
-        f"through whole logs {skills}, which are fitted to runs of {long.seconds:g} s: "
-        "a model that lacks something is best made up for in another way there"
+        f"through whole logs {skills}, which are fitted to runs of {long.seconds:g} s"
     )

@@ -41,14 +41,20 @@ POOR = {"P_a1": 1.3, "P_a2": 2.5}
 
 def test_better_values_are_kept_with_both_skills(tmp_path):
     own = case()
-    other = found({"P_a1": 0.7, "P_a2": 0.4}, rig="longer")
-    out = with_long_runs(own, found(POOR), lambda _: other)
+    fits = Mock(
+        side_effect=[
+            found({"P_a1": 0.8, "P_a2": 0.9}, rig="one second"),
+            found({"P_a1": 0.7, "P_a2": 0.4}, rig="longer"),
+        ]
+    )
+    out = with_long_runs(own, found(POOR), fits)
     assert out.long_runs is not None and out.long_runs.rig_file == "longer"
     assert out.rig_file == "found" and out.channels == found(POOR).channels
     assert out.long_runs.channels["P_a1"] == Horizon(1.3, 0.7, 1.0, None)
     (line,) = out.limits
     assert "P_a2 has skill -5.250" in line and "0.840" in line
-    own.spec.with_text.assert_called_once_with("found")
+    begun = [call.args for call in own.spec.with_text.call_args_list]
+    assert begun == [("found",), ("one second",)]
     assert own.again.call_args.args[2] == out.long_runs.seconds == 3.0
     write_report(out, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
@@ -59,8 +65,20 @@ def test_better_values_are_kept_with_both_skills(tmp_path):
     assert not (tmp_path / "rig_long.toml").exists()
 
 
+def test_a_longer_run_that_does_worse_leaves_the_shorter_one():
+    fits = Mock(side_effect=[found({"P_a1": 0.5}), found({"P_a1": 0.6})])
+    out = with_long_runs(case(), found({"P_a1": 1.3}), fits)
+    assert out.long_runs is not None and out.long_runs.seconds == 1.0
+    assert out.long_runs.channels["P_a1"].after == 0.5
+
+
 @pytest.mark.parametrize(
-    "other", [{"P_a1": 1.3, "P_a2": 2.6}, {"P_a1": 0.2, "P_a2": None}]
+    "other",
+    [
+        {"P_a1": 1.3, "P_a2": 2.6},
+        {"P_a1": 1.5, "P_a2": 0.4},
+        {"P_a1": 0.2, "P_a2": None},
+    ],
 )
 def test_values_that_do_no_better_are_not(other):
     before = found(POOR)
@@ -69,7 +87,7 @@ def test_values_that_do_no_better_are_not(other):
 
 def test_a_run_that_ended_is_outdone_by_one_that_does_not():
     out = with_long_runs(case(), found({"P_a1": None}), lambda _: found({"P_a1": 2.0}))
-    assert out.long_runs is not None and "skill – with" in out.limits[0]
+    assert out.long_runs is not None and "skill –, and" in out.limits[0]
 
 
 @pytest.mark.parametrize(
