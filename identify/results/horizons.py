@@ -71,7 +71,7 @@ GOOD_SKILL = 0.9
 """Skill through whole logs from which nothing is said of it."""
 LONG = 3.0
 """Seconds of the runs that are proposed where it is less: on a machine with nine
-effects at once they take it from below 0 to 0.4 and 0.8 (docs/results.md)."""
+effects at once they take it from -0.6 and -5.5 to 0.36 and 0.83 (docs/results.md)."""
 
 
 def drifting(
