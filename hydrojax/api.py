@@ -86,7 +86,7 @@ def trace(
     """
     case = _opened(rig, logs, validate, test, horizon, criteria)
     outcome = api.trace_case(case, starts, progress, profile)
-    return Result(outcome, mended_case(case, outcome.inputs))
+    return Result(outcome, mended_case(case, outcome.inputs)[0])
 
 
 def discover(result: Result, *, progress: Progress = lambda _: None) -> Result:
@@ -135,7 +135,8 @@ def retraced(
     outcome = api.trace_case(result.case, starts, progress, profile)
     outcome = replace(outcome, curves=result.curves)
     known = result.outcome.inputs
-    outcome = with_inputs(outcome, known, any(f.mended for f in known))
+    if any(f.mended for f in known):  # in that case nothing of it is left to be found
+        outcome = with_inputs(outcome, known)
     return Result(outcome, result.case)
 
 

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import ClassVar
 
 import jax
@@ -154,10 +153,8 @@ def identify(
     inputs = check_inputs(case.spec, case.read_logs).found
     state = fit_case(case, starts, progress)
     state = _with_noise_found(case, state)
-    found = _outcome(
-        "identify", case, state, state.point, began, compiled, progress, profile
-    )
-    return with_inputs(found, inputs)
+    found = _outcome("identify", case, state, state.point, progress, profile)
+    return with_inputs(_timed(found, began, compiled), inputs)
 
 
 def trace_case(
@@ -177,7 +174,8 @@ def trace_case(
         ready = _Ready.of(case, pool)
         progress("check the inputs")
         found = check_inputs(case.spec, case.read_logs).found
-        given, case = case, mended_case(case, found)
+        given = case
+        case, found = mended_case(case, found)
         if case is not given:
             ready = _Ready.of(case, pool)
         problem, free = ready.problem, ready.free
@@ -195,14 +193,16 @@ def trace_case(
         progress,
     )
     state = shed(_on_all(done, _searched(case, search_effects(start))))
-    outcome = _outcome("trace", case, state, point, began, compiled, progress, profile)
-    outcome = with_long_runs(case, outcome, partial(_fitted_longer, progress=progress))
-    return with_inputs(outcome, found, case is not given)
+    outcome = _outcome("trace", case, state, point, progress, profile)
+    outcome = with_long_runs(case, outcome, identify, progress)
+    return with_inputs(_timed(outcome, began, compiled), found)
 
 
-def _fitted_longer(case: Case, progress: Progress) -> Outcome:
-    progress("fit longer runs")
-    return identify(case, 1, progress)
+def _timed(outcome: Outcome, began: float, compiled: _Compiling) -> Outcome:
+    """The outcome with the time since it was begun."""
+    total = time.perf_counter() - began
+    seconds = {"compile": compiled.seconds, "run": total - compiled.seconds}
+    return replace(outcome, seconds=seconds)
 
 
 @dataclass(frozen=True)
@@ -365,7 +365,7 @@ def _loops(case: Case, state: Tracing) -> tuple[LoopCheck, ...]:
     return (done,) if done else ()
 
 
-def _outcome(command, case, state, base, began, compiled, progress, profile) -> Outcome:
+def _outcome(command, case, state, base, progress, profile) -> Outcome:
     progress("errors, intervals and residuals")
     state, uncertainty, said = _settled(state)
     uncertainty = with_tolerances(uncertainty, case, state)
@@ -384,13 +384,10 @@ def _outcome(command, case, state, base, began, compiled, progress, profile) -> 
     if case.spec.predicts and motion is None:
         outcome = replace(outcome, limits=(*outcome.limits, NO_MASS))
     progress("the closed loop again")
-    outcome = replace(
+    return replace(
         outcome,
         loops=_loops(case, state),
         sentence=outcome.sentence + (f" {motion_sentence(motion)}" if motion else ""),
         rig_file=rewrite(case.spec, state.named, added),
         motion=motion,
     )
-    total = time.perf_counter() - began
-    seconds = {"compile": compiled.seconds, "run": total - compiled.seconds}
-    return replace(outcome, seconds=seconds)

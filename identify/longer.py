@@ -7,36 +7,42 @@ from dataclasses import replace
 
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
-from hydrojax.identify.results.horizons import LONG, drifting
+from hydrojax.identify.results.horizons import drifting
 from hydrojax.identify.results.outcome import LongRuns, Outcome, skill_text
 
-RUNS = (1.0, LONG)
-"""Seconds of the runs that are fitted, one from where the other ended: from the values
-for a quarter of a second a fit to the longest may not find back."""
+Progress = Callable[[str], None]
 
 
 def with_long_runs(
-    case: Case, found: Outcome, fit: Callable[[Case], Outcome]
+    case: Case,
+    found: Outcome,
+    fit: Callable[[Case, int, Progress], Outcome],
+    progress: Progress = lambda _: None,
 ) -> Outcome:
-    """The outcome with values fitted to runs of a second or three, where those found
-    have little skill through whole logs, and these have more in every pressure.
+    """The outcome with values fitted to longer runs, where those found have little
+    skill through whole logs, and these have more in every pressure.
 
     What a model lacks is made up for by other values over a quarter of a second than
-    over seconds.
+    over seconds. Each fit begins where the one to shorter runs ended: from the values
+    for a quarter of a second one to the longest may not find back.
 
     Args:
-        case: what was fitted.
+        case: what was fitted. One with test logs is left as it is: errors are of those
+            then, and decide nothing.
         found: in it.
-        fit: fits the declared model of a case.
+        fit: fits the declared model of a case, from so many starts.
+        progress: is called with a line of text at each fit.
     """
-    advice = drifting(found.channels, found.verdict, case.preparation.horizon)
-    if not advice:
+    own, length = case.criteria, case.preparation.horizon
+    advice = drifting(found.channels, found.verdict, length, own)
+    if not advice or case.test is not None:
         return found
     best, text = None, found.rig_file
-    for seconds in RUNS:
+    for seconds in (own.longer_run, own.longest_run):
+        progress(f"fit runs of {seconds:g} s")
         try:
             spec = case.spec.with_text(text)
-            other = fit(case.again(spec, case.as_read, seconds))
+            other = fit(case.again(spec, case.as_read, seconds), 1, progress)
         except InputError:  # the logs have no runs as long as that
             break
         long = _compared(found, other, seconds)

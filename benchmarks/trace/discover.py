@@ -115,7 +115,7 @@ def run(folder: Path, kind: str, traced: bool) -> Row:
     case = open_case(folder / "rig.toml", fit, check)
     first = api.trace_case(case) if traced else api.identify(case, starts=1)
     if traced:
-        case = mended_case(case, first.inputs)
+        case, _ = mended_case(case, first.inputs)
     spent = [time.process_time() - began]
     end, outcome = searched(case, first)
     spent.append(time.process_time() - began - spent[0])

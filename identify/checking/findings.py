@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from hydrojax.errors import InputError
 from hydrojax.identify.checking import words
 from hydrojax.identify.checking.factors import (
     flow_left_out,
@@ -17,7 +18,7 @@ from hydrojax.identify.checking.factors import (
     supply_factor,
 )
 from hydrojax.identify.checking.inputs import Inputs
-from hydrojax.identify.checking.lines import as_read
+from hydrojax.identify.checking.lines import applied
 from hydrojax.identify.checking.regression import bump
 from hydrojax.identify.checking.search import mends_wanted
 from hydrojax.identify.checking.sensors import DEAD
@@ -40,8 +41,12 @@ def inputs_that_lie(
         return tuple(sensors)  # no balance closes with a dead sensor
     mended, scale, found = of, dict.fromkeys(channels.index, 1.0), []
     for mend, before, after in mends_wanted(of):
-        found.append(words.of_mend(mend, before, after, of))
-        of = replace(of, spec=as_read(of.spec, found[-1].lines))
+        one = words.of_mend(mend, before, after, of)
+        try:
+            of = replace(of, spec=applied(of.spec, one.lines))
+        except InputError:  # a value that no rig can have
+            one = replace(one, lines={})
+        found.append(one)
         mended = replace(mend.applied(mended), spec=of.spec)
         for name in mend.inputs:
             scale[name] = scale.get(name, 1.0) * abs(mend.factor)

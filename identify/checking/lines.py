@@ -8,8 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 from hydrojax.logs.tables import Channel
-from hydrojax.rigfile.edit import text
+from hydrojax.rigfile.edit import text, with_lines
 from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.sections import GEOMETRY
 
 Lines = Mapping[str, Mapping[str, Any]]
 """By section and key, what a rig file should say there; plain values of TOML."""
@@ -39,6 +40,20 @@ def scaled(spec: RigFile, names: Sequence[str], factor: float) -> Lines:
     return {"channels": entries}
 
 
+def resized(spec: RigFile, names: Sequence[str], factor: float) -> Lines:
+    """[geometry] or [supply] that has sizes times a factor, as well known as before."""
+    lines: dict[str, dict[str, str]] = {}
+    for name in names:
+        section, unit, old = "supply", "Pa", spec.line.get(name, 0.0)
+        if name in GEOMETRY:
+            section, unit, old = "geometry", GEOMETRY[name], spec.geometry[name]
+        line = text(factor * old, unit)
+        if name in spec.tolerances and old:
+            line += f" +- {100 * spec.tolerances[name] / abs(old):.3g} %"
+        lines.setdefault(section, {})[name] = line
+    return lines
+
+
 def turned(spec: RigFile, names: Sequence[str]) -> Lines:
     """[channels] that reads signals with the other sign.
 
@@ -46,8 +61,8 @@ def turned(spec: RigFile, names: Sequence[str]) -> Lines:
     """
     first = spec.channels.get(names[0])
     lines = columns(spec, names, invert=not (first and first.invert))
-    if names[0] == "x" and (mid := spec.geometry.get("x_mid", 0.0)):
-        return {**lines, "geometry": {"x_mid": text(-mid, "m")}}
+    if names[0] == "x" and spec.geometry.get("x_mid"):
+        return {**lines, **resized(spec, ["x_mid"], -1.0)}
     return lines
 
 
@@ -75,7 +90,12 @@ def _plain(value: Any) -> str:
     return json.dumps(value)
 
 
-def as_read(spec: RigFile, lines: Lines) -> RigFile:
-    """The rig file with the channels of these lines, for the words of what follows."""
-    new = {n: Channel(**entry) for n, entry in lines.get("channels", {}).items()}
-    return replace(spec, channels={**spec.channels, **new})
+def applied(spec: RigFile, lines: Lines) -> RigFile:
+    """The rig file with these lines in it.
+
+    Raises:
+        InputError: they make none; see `RigFile.from_text`.
+    """
+    new = spec.with_text(with_lines(spec.text, lines))
+    # That of the logs, where the file does not give it.
+    return replace(new, command_unit=spec.command_unit)

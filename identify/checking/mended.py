@@ -3,64 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
+from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
+from hydrojax.identify.checking.lines import applied
 from hydrojax.identify.checking.words import Finding
 from hydrojax.logs.log import Log
-from hydrojax.rigfile.edit import with_lines
 from hydrojax.rigfile.schema import RigFile
 
 MENDED = ("sign", "exchanged", "unit", "left out")
 """Findings that are mended before a trace. A factor of an area or a gain is not: no log
 tells it from an effect of the load cell."""
 
-
-def mended(
-    spec: RigFile, groups: Sequence[Sequence[Log]], found: Sequence[Finding]
-) -> tuple[RigFile, tuple[tuple[Log, ...], ...]] | None:
-    """A rig file with the lines of what was found in it, and logs read by it.
-
-    Args:
-        spec: the rig file as it is.
-        groups: logs as they were read by it.
-        found: what looks wrong.
-
-    Returns:
-        None where nothing is to be mended before a trace.
-    """
-    wanted = [f for f in found if to_be_mended(f)]
-    if not wanted:
-        return None
-    content = spec.text
-    for f in wanted:
-        content = with_lines(content, f.lines)
-    new = RigFile.from_text(content, spec.path, spec.valve)
-    read = tuple(tuple(_again(g, wanted, new) for g in group) for group in groups)
-    return replace(new, command_unit=spec.command_unit, law=spec.law), read
+Findings = tuple[Finding, ...]
 
 
-def mended_case(case: Case, found: Sequence[Finding]) -> Case:
-    """The case with what was found in its inputs mended; itself where that is nothing.
+def mended_case(case: Case, found: Sequence[Finding]) -> tuple[Case, Findings]:
+    """The case with what was found in its inputs mended, and the findings, of which
+    those are marked; the case itself where there is none.
 
     Raises:
         InputError: the mended inputs cannot be made ready; see `open_case`.
     """
-    right = mended(case.spec, case.as_read, found)
-    return case if right is None else case.again(*right)
+    spec, marked = mended(case.spec, found)
+    if spec is case.spec:
+        return case, marked
+    own = [f for f in marked if f.mended]
+    logs = [[read_again(log, own, spec) for log in group] for group in case.as_read]
+    return case.again(spec, logs), marked
 
 
-def to_be_mended(f: Finding) -> bool:
-    """Whether it is mended before a trace."""
+def mended(spec: RigFile, found: Sequence[Finding]) -> tuple[RigFile, Findings]:
+    """The rig file with the lines of what is to be mended in it, and the findings, of
+    which those are marked.
+    """
+    out = []
+    for f in found:
+        if _to_be_mended(f):
+            with suppress(InputError):  # a value that no rig can have
+                spec, f = applied(spec, f.lines), replace(f, mended=True)
+        out.append(f)
+    return spec, tuple(out)
+
+
+def _to_be_mended(f: Finding) -> bool:
     if not f.lines or (f.input == "u" and f.finding == "unit"):
         return False
     return f.finding in MENDED or (f.input, f.finding) == ("P_s", "factor")
 
 
-def _again(log: Log, found: Sequence[Finding], spec: RigFile) -> Log:
-    """A log as it is read by the mended rig file."""
+def read_again(log: Log, mended: Sequence[Finding], spec: RigFile) -> Log:
+    """A log as the rig file reads it in which these findings are mended.
+
+    Args:
+        log: as it was read before.
+        mended: the findings, in their order.
+        spec: the mended rig file.
+    """
     signals = dict(log.signals)
-    for f in found:
+    for f in mended:
         names = [n for n in f.input.split(", ") if n in signals]
         if f.finding == "exchanged":
             one, other = names

@@ -17,6 +17,7 @@ from hydrojax.identify.checking.lines import (
     Lines,
     columns,
     exchanged,
+    resized,
     scaled,
     turned,
     written,
@@ -136,23 +137,19 @@ def _says_unit(mend: Mend, of: Inputs) -> Said:
     names, f = " and ".join(mend.inputs), mend.factor
     start, spec = f"{names}: values are {_size(f)}", of.spec
     logged = [n for n in mend.inputs if n in of.logged]
-    lines: dict[str, Mapping[str, Any]] = {}
-    for name in set(mend.inputs) & spec.geometry.keys():
-        unit = "m" if name == "radius" else "m^2"
-        lines["geometry"] = {name: text(f * spec.geometry[name], unit)}
-    if "P_s" in mend.inputs and "P_s" not in logged:
-        lines["supply"] = {"P_s": text(f * spec.line["P_s"], "Pa")}
+    lines = resized(spec, [n for n in mend.inputs if n not in logged], f)
     if not logged:
         return f"{start}: write {written(lines)}", lines
     slips = [p for p in SLIPS[SIGNALS[logged[0]]] if np.isclose(p[0], f, rtol=1e-3)]
     if not slips:
-        lines |= scaled(spec, logged, f)
+        lines = {**scaled(spec, logged, f), **lines}
         return f"{start}: write {written(lines)}", lines
     # Which unit a column without one here was read in is not known: a factor is true.
     own = {spec.channels[n].unit if n in spec.channels else None for n in logged}
     _, read, is_ = next((p for p in slips if own == {p[1]}), slips[0])
     again = own == {read}
-    lines |= columns(spec, logged, unit=is_) if again else scaled(spec, logged, f)
+    own_lines = columns(spec, logged, unit=is_) if again else scaled(spec, logged, f)
+    lines = {**own_lines, **lines}
     return f"{start}, as {is_} read for {read} is: write {written(lines)}", lines
 
 
@@ -179,8 +176,7 @@ def of_supply(found: Factor, of: Inputs) -> Finding:
         lines = scaled(of.spec, ["P_s"], found.factor)
         why = " (the gauge's span, or a gauge elsewhere than at the valve)"
     else:
-        level = text(found.factor * of.spec.line["P_s"], "Pa")
-        lines, why = {"supply": {"P_s": level}}, ""
+        lines, why = resized(of.spec, ["P_s"], found.factor), ""
     size = stiffness(of.scaled("P_s", found.factor))
     return Finding(
         "P_s", "factor", found.factor, size * found.given, size * found.mended, "Pa",
@@ -193,7 +189,7 @@ def of_force(found: Factor, of: Inputs) -> Finding:
     name, f = found.input, found.factor
     geometry = of.spec.geometry
     if name in geometry:
-        lines = {"geometry": {name: text(f * geometry[name], "m^2")}}
+        lines = resized(of.spec, [name], f)
         gauge = {"area": "both pressures", "area_1": "P_a1", "area_2": "P_a2"}[name]
         says = (
             f"{name} is {_percent(f, 'too large', 'too small')}: write "

@@ -16,6 +16,7 @@ from hydrojax.identify.estimation.columns import Batch, ParametricRig, filled
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import ChannelErrors, Horizon, skill_text
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.parameters import put
 from hydrojax.plant.replay import at_start, friction_memory, pressures, readings
 from hydrojax.programs.compiled import program_of_pytrees
@@ -67,15 +68,11 @@ def horizons_of(
     return out
 
 
-GOOD_SKILL = 0.9
-"""Skill through whole logs from which nothing is said of it."""
-LONG = 3.0
-"""Seconds of the runs that are proposed where it is less: on a machine with nine
-effects at once they take it from -0.6 and -5.5 to 0.36 and 0.83 (docs/results.md)."""
-
-
 def drifting(
-    channels: Mapping[str, ChannelErrors], verdict: str, length: float
+    channels: Mapping[str, ChannelErrors],
+    verdict: str,
+    length: float,
+    criteria: Criteria,
 ) -> list[str]:
     """What to do about pressures that a model follows for a while only: of one that is
     not whole other values do best over longer runs.
@@ -84,14 +81,16 @@ def drifting(
         channels: errors by channel.
         verdict: of the run.
         length: of a window, s.
+        criteria: the thresholds.
     """
-    if verdict != "unknown" or length >= LONG:
+    longest = criteria.longest_run
+    if verdict != "unknown" or length >= longest:
         return []
     whole = {n: c.horizons["free"] for n, c in channels.items() if "free" in c.horizons}
     poor = {
         name: h
         for name, h in whole.items()
-        if name != "F" and (h.skill is None or h.skill < GOOD_SKILL)
+        if name != "F" and (h.skill is None or h.skill < criteria.good_skill)
     }
     if not poor:
         return []
@@ -99,7 +98,7 @@ def drifting(
     return [
         f"through whole logs {skills}: the values found are those for runs of "
         f"{length:g} s; `hydrojax identify` of the rig file found, with --horizon "
-        f"{LONG:g}, finds those for longer ones"
+        f"{longest:g}, finds those for longer ones"
     ]
 
 

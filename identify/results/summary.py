@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydrojax.effects import EFFECTS
-from hydrojax.identify.checking.mended import to_be_mended
 from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import FitPoint
@@ -92,7 +91,7 @@ def summarise(
             *_undecided(effects),
             *_same_as_inputs(effects, uncertainty),
             *_untested(case, channels, verdict, state.criteria.at_noise),
-            *drifting(channels, verdict, case.preparation.horizon),
+            *drifting(channels, verdict, case.preparation.horizon, case.criteria),
         ),
         notes=_notes(case),
         series=series_of(case, before, after, signals, seen),
@@ -290,29 +289,16 @@ def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
     return tuple(n for n in state.free if n in uncertainty.ends and n not in absent)
 
 
-def with_inputs(
-    outcome: Outcome, found: tuple[Finding, ...], mended: bool = False
-) -> Outcome:
-    """The outcome with what looks wrong with the inputs, which is said first.
-
-    Args:
-        outcome: of the inputs as they are, or mended.
-        found: what looks wrong.
-        mended: whether it is of the mended inputs.
-    """
+def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
+    """The outcome with what looks wrong with the inputs, which is said first."""
     if not found:
         return outcome
-    if mended:
-        found = tuple(replace(f, mended=to_be_mended(f)) for f in found)
-        first, *more = (f for f in found if f.mended)
-        also = f" (and {len(more)} more)" if more else ""
-        said = f"An input looks wrong: {first.says}{also}. With it mended: "
-        sentence = said + outcome.sentence
+    if mended := [f for f in found if f.mended]:
+        also = f" (and {len(mended) - 1} more)" if len(mended) > 1 else ""
+        lead = f"An input looks wrong: {mended[0].says}{also}. With it mended:"
     else:
         # Nothing is blamed that an effect explains as well: see `checking.factors`.
-        beyond = (
-            ", and explains at least as much as any effect" if outcome.effects else ""
-        )
-        said = f"An input looks wrong{beyond}: {found[0].says}. "
-        sentence = said + outcome.sentence
-    return replace(outcome, inputs=found, sentence=sentence)
+        beyond = ", and explains at least as much as any effect"
+        lead = f"An input looks wrong{beyond if outcome.effects else ''}: "
+        lead += f"{found[0].says}."
+    return replace(outcome, inputs=found, sentence=f"{lead} {outcome.sentence}")

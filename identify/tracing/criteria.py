@@ -234,6 +234,18 @@ class Criteria:
     backward_speed: float = 0.3
     """Standard deviations of the speed from which it counts as moving there, 1."""
 
+    # -- runs through whole logs --
+
+    good_skill: float = 0.9
+    """Skill through whole logs below which longer runs are fitted, where something is
+    unexplained, 1: what is explained has 0.99 and more. `benchmarks.recorded`
+    (machines)."""
+    longer_run: float = 1.0
+    """Seconds of the runs that are fitted then, first."""
+    longest_run: float = 3.0
+    """Seconds of those that are fitted next: runs of 6 s take twice the time for as
+    much skill. `benchmarks.recorded` (machines)."""
+
     # -- the residual --
 
     correlates: float = 0.08

@@ -10,8 +10,10 @@ import pytest
 
 import hydrojax as hj
 from benchmarks.trace.lies import Traced, lies_of, named
-from hydrojax.identify.checking.mended import mended
+from hydrojax.identify.checking.lines import applied, resized, turned
+from hydrojax.identify.checking.mended import mended, read_again
 from hydrojax.identify.checking.sensors import channel_table
+from hydrojax.identify.checking.words import Finding
 
 TRIED = (
     "area -2%", "P_s -10%", "psi turned round", "P_a1 turned round",
@@ -105,10 +107,10 @@ def test_what_is_mended_is_the_honest_input(honest, name):
     rig, logs = honest
     text, lied = TOLD[name].told(rig.text, logs)
     spec = hj.RigFile.from_text(text)
-    right = mended(spec, [lied, [], lied[:1]], hj.check(spec, lied).found)
-    assert right is not None
-    new, (fit, _, test) = right
-    for own, log in zip((*fit, *test), (*logs, logs[0]), strict=True):
+    new, found = mended(spec, hj.check(spec, lied).found)
+    assert [f.mended for f in found] == [True] * len(found)
+    fit = [read_again(log, found, new) for log in lied]
+    for own, log in zip(fit, logs, strict=True):
         for signal, y in log.signals.items():
             close = 0.02 if (name, signal) == ("P_s -10%", "P_s") else 1e-3
             assert own.signals[signal] == pytest.approx(y, rel=close), signal
@@ -122,7 +124,8 @@ def test_the_lines_mend_the_files_as_well(honest, tmp_path):
     u, P = lied[0].signals["u"], lied[0].signals["P_a1"]
     one = replace(lied[0], signals=lied[0].signals | {"u": -u, "P_a1": P / 10})
     spec = hj.RigFile.from_text(text)
-    new, ((own,),) = mended(spec, [[one]], hj.check(spec, [one]).found)
+    new, found = mended(spec, hj.check(spec, [one]).found)
+    own = read_again(one, found, new)
     frame = one.to_frame()
     units = frame.attrs["units"]
     frame.columns = [f"{n} [{units[n]}]" for n in frame.columns]
@@ -139,7 +142,49 @@ def test_a_gain_that_is_an_effect_s_too_is_left_as_it_is(honest):
     spec = hj.RigFile.from_text(text)
     found = hj.check(spec, lied).found
     assert [f.input for f in found] == ["area"]
-    assert mended(spec, [lied], found) is None
+    assert mended(spec, found) == (spec, found)
+
+
+DIFFERENTIAL = """
+layout = "differential"
+[geometry]
+area_1 = "20 mm^2 +- 2 %"
+area_2 = "35 mm^2"
+chamber_length = "0.6 m"
+x_mid = "0.3 m"
+[supply]
+P_s = "2.1 bar"
+[parameters]
+beta = { start = "8e8 Pa", range = ["4e8 Pa", "2e9 Pa"] }
+"""
+
+
+def test_every_size_that_is_off_is_written_with_its_tolerance():
+    spec = hj.RigFile.from_text(DIFFERENTIAL)
+    new = applied(spec, resized(spec, ["area_1", "area_2", "P_s"], 100.0))
+    assert new.geometry["area_1"] == pytest.approx(20e-4)
+    assert new.geometry["area_2"] == pytest.approx(35e-4)
+    assert new.line["P_s"] == pytest.approx(210e5)
+    assert new.tolerances == {"area_1": pytest.approx(0.4e-4)}
+    assert "+- 2 %" in new.text
+
+
+def test_a_second_mend_goes_on_from_the_first():
+    spec = hj.RigFile.from_text(DIFFERENTIAL)
+    spec = applied(spec, resized(spec, ["P_s"], 100.0))
+    assert spec.with_text(spec.text).line["P_s"] == pytest.approx(210e5)
+    spec = applied(spec, resized(spec, ["P_s"], 0.9))
+    assert spec.line["P_s"] == pytest.approx(189e5)
+    turned_round = applied(spec, turned(spec, ["x"]))
+    assert turned_round.geometry["x_mid"] == pytest.approx(-0.3)
+    assert turned_round.channels["x"].invert
+
+
+def test_a_line_that_no_rig_can_have_is_left_out():
+    spec = hj.RigFile.from_text(DIFFERENTIAL)
+    says = ("area_1", "unit", 1e4, None, None, "Pa", "area_1 is off")
+    odd = Finding(*says, {"geometry": {"area_1": "-1 m^2"}})
+    assert mended(spec, [odd]) == (spec, (odd,))
 
 
 def test_a_trace_mends_the_input_and_goes_on(honest, recorded):

@@ -16,6 +16,7 @@ from hydrojax.identify import api
 from hydrojax.identify.case import open_case
 from hydrojax.identify.results.horizons import _Arx, _starts, drifting
 from hydrojax.identify.results.outcome import ChannelErrors, Horizon
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 
 
@@ -113,12 +114,15 @@ def test_a_pressure_that_drifts_is_said_with_what_to_do():
         return ChannelErrors(unit, 1.0, 2.0, 1.5, horizons={"free": whole})
 
     channels = {"P_a1": channel(2.5), "P_a2": channel(0.1), "F": channel(3.0, "N")}
-    (line,) = drifting(channels, "unknown", 0.25)
+    (line,) = drifting(channels, "unknown", 0.25, Criteria())
     assert "P_a1 has skill -5.250" in line and "--horizon 3" in line
     assert "P_a2" not in line and "F has" not in line
-    assert drifting(channels, "explained", 0.25) == []
-    assert drifting(channels, "unknown", 3.0) == []
-    assert "P_a1 has skill –" in drifting({"P_a1": channel(None)}, "unknown", 1.0)[0]
+    assert drifting(channels, "explained", 0.25, Criteria()) == []
+    assert drifting(channels, "unknown", 3.0, Criteria()) == []
+    assert (
+        "P_a1 has skill –"
+        in drifting({"P_a1": channel(None)}, "unknown", 1.0, Criteria())[0]
+    )
 
 
 @pytest.mark.parametrize("length", [0.25, 1.0, 3.0, 12.0])

@@ -13,6 +13,7 @@ from hydrojax.errors import InputError
 from hydrojax.identify.longer import with_long_runs
 from hydrojax.identify.report.write import write_report
 from hydrojax.identify.results.outcome import ChannelErrors, Horizon, Outcome
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.report.schema import report_schema
 
 
@@ -32,7 +33,7 @@ def found(free: dict[str, float | None], verdict: str = "unknown", rig: str = "f
 
 def case(horizon: float = 0.25) -> Mock:
     made = Mock()
-    made.preparation.horizon = horizon
+    made.preparation.horizon, made.criteria, made.test = horizon, Criteria(), None
     return made
 
 
@@ -82,11 +83,11 @@ def test_a_longer_run_that_does_worse_leaves_the_shorter_one():
 )
 def test_values_that_do_no_better_are_not(other):
     before = found(POOR)
-    assert with_long_runs(case(), before, lambda _: found(other)) == before
+    assert with_long_runs(case(), before, lambda *_: found(other)) == before
 
 
 def test_a_run_that_ended_is_outdone_by_one_that_does_not():
-    out = with_long_runs(case(), found({"P_a1": None}), lambda _: found({"P_a1": 2.0}))
+    out = with_long_runs(case(), found({"P_a1": None}), lambda *_: found({"P_a1": 2.0}))
     assert out.long_runs is not None and "skill –, and" in out.limits[0]
 
 
@@ -110,3 +111,10 @@ def test_logs_that_are_too_short_are_left_at_what_was_found():
     fit = Mock(side_effect=InputError("too short"))
     before = found(POOR)
     assert with_long_runs(case(), before, fit) is before
+
+
+def test_the_errors_of_test_logs_decide_nothing():
+    own, fit, before = case(), Mock(), found(POOR)
+    own.test = Mock()
+    assert with_long_runs(own, before, fit) is before
+    fit.assert_not_called()
