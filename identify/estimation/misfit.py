@@ -167,7 +167,7 @@ def _sums(batch: Batch, y: Array, dy: Array) -> Sums:
     keep = np.r_[0:k, k + NUISANCE]
     own = slice(k, k + NUISANCE)
     cross = full[:, own, keep]
-    start = jnp.linalg.solve(full[:, own, own] + _own_prior(white), cross)
+    start = _solved(full[:, own, own] + _own_prior(white), cross)
     gram = full[:, keep[:, None], keep] - jnp.einsum("wia,wib->wab", cross, start)
     left = _leftover(residual, dy[k:], white, start[:, :, -1])
     weight = batch.weight
@@ -176,6 +176,24 @@ def _sums(batch: Batch, y: Array, dy: Array) -> Sums:
         start,
         jnp.sum(left**2, axis=1) * weight[:, None],
     )
+
+
+def _solved(B: Array, given: Array) -> Array:
+    """Solve `B @ x = given` of each window, [W, n, n] positive definite and [W, n, m].
+
+    By elimination along the diagonal, side by side. JAX's own solver hands a stack of
+    some size to LAPACK piece by piece, on the threads that run the program itself, and
+    waits for them: where both of two cores wait, nothing goes on, for ever.
+    """
+    n = B.shape[-1]
+
+    def eliminated(i: Array, table: Array) -> Array:
+        row = table[:, i] / table[:, i, i, None]
+        others = table - table[:, :, i, None] * row[:, None]
+        return others.at[:, i].set(row)
+
+    table = jnp.concatenate([B, given], axis=-1)
+    return jax.lax.fori_loop(0, n, eliminated, table)[..., n:]
 
 
 def _leftover(residual: Array, dy: Array, white: Array, start: Array) -> Array:
@@ -188,7 +206,7 @@ def _leftover(residual: Array, dy: Array, white: Array, start: Array) -> Array:
     seen = dy * white * jnp.array([1.0, 1.0, 0.0])
     B = jnp.einsum("iwtc,jwtc->wij", seen, seen) + _own_prior(white)
     cross = jnp.einsum("iwtc,wtc->wi", seen, residual * white)
-    by_themselves = jnp.linalg.solve(B, -cross[..., None])[..., 0]
+    by_themselves = _solved(B, -cross[..., None])[..., 0]
     own = residual + jnp.einsum("iwtc,wi->wtc", dy, by_themselves)
     left = residual + jnp.einsum("iwtc,wi->wtc", dy, start)
     return jnp.concatenate([own[..., :2], left[..., 2:]], axis=-1)
@@ -221,7 +239,7 @@ def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:
     scaled = dy * white
     B = jnp.einsum("iwtc,jwtc->wij", scaled, scaled) + _own_prior(white)
     cross = jnp.einsum("iwtc,wtc->wi", scaled, -residual * white)
-    start = jnp.linalg.solve(B, cross[..., None])[..., 0]
+    start = _solved(B, cross[..., None])[..., 0]
     return _leftover(residual, dy, white, start), start[:, :2]
 
 

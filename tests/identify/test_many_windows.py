@@ -128,6 +128,38 @@ def test_the_number_of_cores_changes_no_bit(leaking, monkeypatch):
         jax.tree.map(np.testing.assert_array_equal, other, found[0])
 
 
+@pytest.mark.parametrize("simulate", [True, False])
+def test_no_program_that_runs_at_once_calls_lapack(leaking, simulate):
+    """Stacks of systems are solved there by threads that the programs run on: two
+    programs at once would wait for each other for ever.
+    """
+    problem = replace(api._problems(leaking, [])[0], simulate=simulate)
+    values, model = problem.initial_values(), problem.model
+    n = model.hydraulic
+    directions = basis(model, model.names, (n, len(model.names) - n))
+
+    def run(v, b):
+        return misfit.sums(model, v, directions, b, simulate)
+
+    lowered = jax.jit(run).lower(values, thinned(problem.batch, 8)).as_text()
+    assert "stablehlo.while" in lowered and "lapack" not in lowered
+
+
+@pytest.mark.parametrize("windows, columns", [(1, 1), (7, 3), (300, 40)])
+def test_each_window_s_system_is_solved_by_itself(windows, columns):
+    """As NumPy solves it, with units that are twelve decades apart."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(windows, 9, 30)) * 10.0 ** rng.uniform(-6, 6, (9, 1))
+    B = root @ np.moveaxis(root, 1, 2)
+    given = rng.normal(size=(windows, 9, columns)) * np.sqrt(
+        np.diagonal(B, axis1=1, axis2=2)[..., None]
+    )
+    wanted = np.linalg.solve(B, given)
+    largest = np.max(np.abs(wanted), axis=2, keepdims=True)
+    found = misfit._solved(jnp.asarray(B), jnp.asarray(given))
+    assert np.max(np.abs(found - wanted) / largest) < 1e-9
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("piece", [96, 16, 1])
 def test_sums_that_more_is_compiled_around_are_cut_as_well(leaking, monkeypatch, piece):
