@@ -185,6 +185,19 @@ def user_cache() -> Path:
     return (Path(home) if home else Path.home() / ".cache") / "hydrojax"
 
 
+def set_up_fits() -> None:
+    """Set JAX up for a command that fits: with the user's cache, on the processor.
+
+    A fit is many small steps one after the other, each a launch on a GPU: the demo's
+    trace took over 110 s on one and 47 s beside it. `JAX_PLATFORMS` asks for another.
+    """
+    import jax
+
+    if not os.environ.get("JAX_PLATFORMS"):
+        jax.config.update("jax_platforms", "cpu")
+    set_up_jax(user_cache())
+
+
 def ensure_jax() -> None:
     """Set JAX up at the first use of the front door, if nobody has done it before.
 

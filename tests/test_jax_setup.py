@@ -61,6 +61,19 @@ def test_the_users_own_options_are_left_alone():
     assert python(text + "print(os.environ['XLA_FLAGS'])", XLA_FLAGS=own) == own
 
 
+@pytest.mark.parametrize("asked", [{}, {"JAX_PLATFORMS": "cuda,cpu"}])
+def test_fits_keep_to_the_processor_unless_told_otherwise(asked, tmp_path):
+    text = """
+from hydrojax.jax_setup import set_up_fits
+set_up_fits()
+import jax
+print(jax.config.jax_platforms)
+"""
+    wanted = asked.get("JAX_PLATFORMS", "cpu")
+    asked = {"JAX_PLATFORMS": "", "XDG_CACHE_HOME": str(tmp_path)} | asked
+    assert python(text, **asked).strip() == wanted
+
+
 def test_too_late_is_said_and_the_rest_holds():
     said = python(
         "import jax, warnings\njax.devices()\nfrom hydrojax.jax_setup import *\n"

@@ -24,7 +24,7 @@ from hydrojax.cli.options import (
     load_effects,
 )
 from hydrojax.errors import InputError
-from hydrojax.jax_setup import set_up_jax, user_cache
+from hydrojax.jax_setup import set_up_fits
 
 Jobs = Annotated[
     Path,
@@ -80,7 +80,7 @@ def batch(
     check_out(context, out)
     if command not in ("identify", "trace"):
         raise InputError(f"invalid --command {command!r}: expected identify or trace")
-    set_up_jax(user_cache())
+    set_up_fits()
     load_effects(effects)
     from hydrojax.workflows.fleet.local import JobLimits
     from hydrojax.workflows.fleet.merged import named

@@ -17,7 +17,7 @@ from hydrojax.cli.options import (
     show_progress,
 )
 from hydrojax.errors import InputError
-from hydrojax.jax_setup import set_up_jax, user_cache
+from hydrojax.jax_setup import set_up_fits
 from hydrojax.report.files import write_all
 
 
@@ -40,7 +40,7 @@ def export(
 ) -> None:
     """Write a rig for MATLAB, Modelica, FMI or your own firmware."""
     check_out(context, out)
-    set_up_jax(user_cache())
+    set_up_fits()
     load_effects(effects)
     from hydrojax import export
     from hydrojax.rigfile.schema import RigFile

@@ -36,7 +36,7 @@ from hydrojax.cli.options import (
     load_effects,
     show_progress,
 )
-from hydrojax.jax_setup import set_up_jax, user_cache
+from hydrojax.jax_setup import set_up_fits
 
 if TYPE_CHECKING:
     from hydrojax.api import Progress
@@ -78,7 +78,7 @@ def check(
     """
     if out is not None:
         check_out(context, out)
-    set_up_jax(user_cache())
+    set_up_fits()
     load_effects(effects)
     from hydrojax import api
 
@@ -116,7 +116,7 @@ def identify(
     """Fit the declared model to logs; report errors, uncertainties."""
     failing = check_verdicts(fail_on)
     check_report(context, out)
-    set_up_jax(user_cache())
+    set_up_fits()
     load_effects(effects)
     from hydrojax import api
 
@@ -153,7 +153,7 @@ def trace(
     """Fit, find the effects that the model lacks, and refit."""
     failing = check_verdicts(fail_on)
     check_report(context, out)
-    set_up_jax(user_cache())
+    set_up_fits()
     load_effects(effects)
     load_catalogue(catalogue)
     from hydrojax import api

@@ -24,7 +24,7 @@ from hydrojax.cli.options import (
 )
 from hydrojax.cli.words import read_gains
 from hydrojax.errors import InputError
-from hydrojax.jax_setup import LOOPS, set_up_jax, user_cache
+from hydrojax.jax_setup import LOOPS, set_up_fits, set_up_jax, user_cache
 from hydrojax.report.files import digest, write_all
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def excite(
 ) -> None:
     """Design the run that best identifies what is not identified."""
     check_file(context, out)
-    set_up_jax(user_cache())
+    set_up_fits()
     load_effects(effects)
     from hydrojax import units
     from hydrojax.identify.design import design
@@ -186,7 +186,7 @@ def bounds(
 ) -> None:
     """Find friction bounds for the adaptive law from many fits."""
     check_report(context, out)
-    set_up_jax(user_cache())
+    set_up_fits()
     load_effects(effects)
     import json
 

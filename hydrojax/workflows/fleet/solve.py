@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hydrojax.effects import load_effects
-from hydrojax.jax_setup import set_up_jax, user_cache
+from hydrojax.jax_setup import set_up_fits
 from hydrojax.plant.friction import Theta
 from hydrojax.workflows.fleet.jobs import Job
 from hydrojax.workflows.fleet.work import Options
@@ -28,7 +28,7 @@ def solve(job: Job, options: Options) -> dict[str, Any]:
     Raises:
         InputError: whatever is wrong with its files, in one line.
     """
-    set_up_jax(user_cache())
+    set_up_fits()
     for path in options.effects:
         _own(path, Path(path).read_bytes())
     from hydrojax.identify import api
