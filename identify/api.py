@@ -239,6 +239,8 @@ def _searched(case: Case, state: Tracing) -> Tracing:
     above = rms > limit * known.noise
     if np.any((above & (rms <= limit * state.noise))[seen]):
         return search_effects(known)
+    if np.any((known.noise > state.noise)[seen]):
+        return pruned(known, known.noise, fresh=0)
     return known
 
 
@@ -247,14 +249,22 @@ def _with_noise_found(case: Case, state: Tracing) -> Tracing:
 
     How far the position's noise moves a pressure depends on the model; one that lacked
     an effect, or a rig file's first values, gave it when the logs were made ready. It
-    is only ever lowered: a model that is off may answer the position too strongly, and
-    would excuse its own error.
+    is raised by little, and not by chambers as stiff as they may be: a model that is
+    off may answer the position too strongly, and would excuse its own error.
     """
     if case.noise_by is None:
         return state
     noise = case.noise_by(state.problem, state.point.values)
     seen = np.isfinite(state.noise)
-    noise = np.where(seen, np.fmin(noise, state.noise), state.noise)
+    free, here = state.problem.free, state.named
+    ends = {"beta": 1.0, "delta_1": -1.0, "delta_2": -1.0}
+    stiffest = any(
+        name in state.free
+        and np.isclose(here[name], free[name].upper if way > 0 else free[name].lower)
+        for name, way in ends.items()
+    )
+    most = state.noise * (1.0 if stiffest else state.criteria.recounted)
+    noise = np.where(seen, np.fmin(noise, most), state.noise)
     if np.allclose(noise[seen], state.noise[seen], rtol=state.criteria.matters):
         return state
     problem, check = (

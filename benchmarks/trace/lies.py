@@ -57,6 +57,19 @@ def _times(factor: float, *names: str):
     return _signals(lambda s: {n: factor * s[n] for n in names})
 
 
+def _late(name: str, seconds: float):
+    """A signal that shows what was some time ago."""
+
+    def told(text: str, logs: list[Any]) -> Told:
+        def late(log: Any) -> dict[str, Any]:
+            t = np.asarray(log.time)
+            return {name: np.interp(t - seconds, t, log.signals[name])}
+
+        return text, [replace(g, signals=g.signals | late(g)) for g in logs]
+
+    return told
+
+
 def _exchanged(one: str, other: str):
     return _signals(lambda s: {one: s[other], other: s[one]})
 
@@ -124,6 +137,9 @@ def lies_of(layout: str, motion: str) -> list[Lie]:
         out.append(Lie(what, _times(f, *names), names, ("unit",)))
     for what, f in (("kN for N", 1e3), ("N for kN", 1e-3)):
         out.append(Lie(what, _times(f, "F"), ("F",), ("unit",)))
+    for ms in (1, 5, 20):
+        lie = _late(motion, 1e-3 * ms)
+        out.append(Lie(f"{motion} {ms} ms late", lie, (motion,), ("delay",)))
     for name in (*P, "F"):
         for f in (10.0, 0.1):
             out.append(

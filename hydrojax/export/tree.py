@@ -78,6 +78,7 @@ def rig_tree(spec: RigFile) -> Tree:
                 "column": c.column,
                 "unit": c.unit or "",
                 "invert": c.invert,
+                "delay": c.delay,
                 "scale": c.scale,
             }
             for name, c in spec.channels.items()

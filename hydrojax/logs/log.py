@@ -3,7 +3,8 @@
 A CSV or Parquet column is called `name [unit]`. In a MAT file the vectors are
 variables called by name, at the top or in a struct `log`; their units are the fields
 of a struct `units`, or variables `<name>_unit`. The rig file's [channels] may rename a
-column, give its unit (which then wins over the file's) and invert its sign. In an
+column, give its unit (which then wins over the file's), invert its sign, and say how
+late it is. In an
 MCAP file or a ROS 2 bag it says which topic and field a signal is; see `rosbag`.
 """
 
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -164,6 +165,8 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
     notes += lost
     time = arrays.pop("time")
     stored.pop("time")
+    late = {n: c.late for n, c in channels.items() if n in arrays and c.late}
+    shortest += max(late.values(), default=0.0)
     segments, cuts = segments_of(time, arrays, shortest)
     if not segments:
         why = "; ".join(lost + cuts) or f"it lasts {time[-1] - time[0]:g} s"
@@ -171,6 +174,7 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
             f"{path}: no stretch of {shortest:g} s without a gap or a missing number "
             f"({why}); log longer, or take the column with the holes out"
         )
+    arrays, segments = brought_forward(time, arrays, segments, late)
     # Of "." too; bytes that are no text would end a report half way.
     name = os.fsencode(path.absolute().name).decode(errors="replace")
     name = one_line(name, WORD)
@@ -178,6 +182,39 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
         name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts),
         dict(channels),
     )  # fmt: skip
+
+
+def brought_forward(
+    time: Float[np.ndarray, "rows"],
+    signals: Mapping[str, Float[np.ndarray, "rows"]],
+    segments: Sequence[tuple[int, int]],
+    late: Mapping[str, float],
+) -> tuple[dict[str, Float[np.ndarray, "rows"]], tuple[tuple[int, int], ...]]:
+    """Signals at the moments that they show, between whose rows they are interpolated.
+
+    Args:
+        time: s.
+        signals: as they were logged, SI.
+        segments: see `Log`.
+        late: how late signals are, s, by name.
+
+    Returns:
+        The signals, and the segments without the end of which the late ones do not
+        show anything.
+    """
+    out = dict(signals)
+    if not late:
+        return out, tuple(segments)
+    cut = []
+    for start, stop in segments:
+        own = time[start:stop]
+        for name, lag in late.items():
+            moved = out[name] if out[name] is not signals[name] else out[name].copy()
+            moved[start:stop] = np.interp(own + lag, own, signals[name][start:stop])
+            out[name] = moved
+        last = own[-1] - max(late.values())
+        cut.append((start, start + int(np.searchsorted(own, last, side="right"))))
+    return out, tuple(cut)
 
 
 def _check_rows(

@@ -8,13 +8,15 @@ import os
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
 
 from hydrojax import units
 from hydrojax.errors import WORD, InputError, check_expansion, check_members, one_line
@@ -39,11 +41,23 @@ _CELL = 64
 """Bytes that a cell of a sheet takes, about."""
 
 
+LONGEST_DELAY = 1.0
+"""Seconds that a column may be late, at most."""
+
+
+def _delay(text: str) -> str:
+    with suppress(InputError):
+        if 0 <= units.quantity(text, "s", "delay") <= LONGEST_DELAY:
+            return text
+    raise PydanticCustomError("delay", "no delay")
+
+
 class Channel(BaseModel):
     """One line of the rig file's [channels]: where a signal is in the logs.
 
     `scale` is what the column is multiplied by beside its unit, as for a gauge whose
-    span is off.
+    span is off. `delay` is how long after the other columns it shows the same moment,
+    as a sensor behind a slow bus does.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -52,6 +66,12 @@ class Channel(BaseModel):
     unit: str | None = None
     invert: bool = False
     scale: float = Field(default=1.0, gt=0, lt=math.inf)
+    delay: Annotated[str, AfterValidator(_delay)] = "0 s"
+
+    @property
+    def late(self) -> float:
+        """The delay, s."""
+        return units.quantity(self.delay, "s", "delay")
 
     @property
     def factor(self) -> float:

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 from hydrojax import units
 from hydrojax.effects import EFFECTS, offered
 from hydrojax.errors import WORD, InputError, check_known, one_line
-from hydrojax.logs.tables import Channel
+from hydrojax.logs.tables import LONGEST_DELAY, Channel
 from hydrojax.parameters import Spec, specs
 from hydrojax.plant.chambers import Chambers
 from hydrojax.plant.friction import Friction
@@ -127,6 +127,7 @@ def _refuse(path: str, tree: Mapping[str, Any], error: ValidationError) -> NoRet
         "model_type": 'a table such as { column = "..." }',
         "bool_type": "true or false",
         **dict.fromkeys(("float_type", "greater_than", "less_than"), A_FACTOR),
+        "delay": f'a time of 0 to {LONGEST_DELAY:g} s, such as "5 ms"',
         "value_error": f"at most {WORD} characters that can be printed",
     }
     shape = shapes.get(first["type"], "text in quotes")

@@ -15,6 +15,7 @@ from hydrojax.identify.checking.factors import (
     force_balance,
     force_factor,
     force_left_out,
+    position_delay,
     supply_factor,
 )
 from hydrojax.identify.checking.inputs import Inputs
@@ -52,6 +53,11 @@ def inputs_that_lie(
             scale[name] = scale.get(name, 1.0) * abs(mend.factor)
     noise = {n: scale[n] * float(channels.noise[n]) for n in channels.index}
     if mended.has_flow:
+        if (late := position_delay(mended)) is not None:
+            found.append(one := words.of_delay(late, mended))
+            mended = mended.brought_forward("x", late.seconds)
+            mended = replace(mended, spec=applied(mended.spec, one.lines))
+            of = replace(of, spec=mended.spec)
         factor = supply_factor(mended)
         if factor is not None:
             found.append(words.of_supply(factor, mended))

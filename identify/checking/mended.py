@@ -10,10 +10,10 @@ from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.lines import applied
 from hydrojax.identify.checking.words import Finding
-from hydrojax.logs.log import Log
+from hydrojax.logs.log import Log, brought_forward
 from hydrojax.rigfile.schema import RigFile
 
-MENDED = ("sign", "exchanged", "unit", "left out")
+MENDED = ("sign", "exchanged", "unit", "delay", "left out")
 """Findings that are mended before a trace. A factor of an area or a gain is not: no log
 tells it from an effect of the load cell."""
 
@@ -70,4 +70,14 @@ def read_again(log: Log, mended: Sequence[Finding], spec: RigFile) -> Log:
             signals[one], signals[other] = signals[other], signals[one]
         elif f.factor is not None:
             signals |= {n: f.factor * signals[n] for n in names}
-    return replace(log, signals=signals, channels=dict(spec.channels))
+    before = log.channels or {}
+    late = {
+        name: channel.late - (before[name].late if name in before else 0.0)
+        for name, channel in spec.channels.items()
+        if name in signals
+    }
+    late = {name: lag for name, lag in late.items() if lag > 0}
+    signals, segments = brought_forward(log.time, signals, log.segments, late)
+    return replace(
+        log, signals=signals, segments=segments, channels=dict(spec.channels)
+    )

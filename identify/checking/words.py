@@ -11,7 +11,7 @@ import pandas as pd
 
 from hydrojax import units
 from hydrojax.identify.checking.balances import FLOW, NOT_NEGATIVE
-from hydrojax.identify.checking.factors import Factor, LeftOut
+from hydrojax.identify.checking.factors import Delay, Factor, LeftOut
 from hydrojax.identify.checking.inputs import Inputs
 from hydrojax.identify.checking.lines import (
     Lines,
@@ -59,8 +59,8 @@ class Finding:
 
     Attributes:
         input: a signal, or a key of the rig file; several are joined by commas.
-        finding: `sign`, `exchanged`, `unit`, `factor`, `left out`, `noise`, `stuck`,
-            `clipped` or `vacuum`.
+        finding: `sign`, `exchanged`, `unit`, `delay`, `factor`, `left out`, `noise`,
+            `stuck`, `clipped` or `vacuum`.
         factor: what the input is to be multiplied by; None where that mends nothing.
         error: RMS of the balance that shows it, as given; None where none does.
         error_if_mended: the same with the input mended.
@@ -181,6 +181,22 @@ def of_supply(found: Factor, of: Inputs) -> Finding:
     return Finding(
         "P_s", "factor", found.factor, size * found.given, size * found.mended, "Pa",
         f"P_s is {off}: write {written(lines)}{why}", lines,
+    )  # fmt: skip
+
+
+def of_delay(found: Delay, of: Inputs) -> Finding:
+    """A position that is late."""
+    name = of.motion
+    before = of.spec.channels[name].late if name in of.spec.channels else 0.0
+    ms = 1e3 * found.seconds
+    lines = columns(
+        of.spec, [name], delay=text(float(f"{before * 1e3 + ms:.3g}"), "ms")
+    )
+    size = stiffness(of.brought_forward("x", found.seconds))
+    return Finding(
+        name, "delay", None, size * found.given, size * found.mended, "Pa",
+        f"{name} is {ms:.2g} ms late beside the pressures (a slow bus, or a filter): "
+        f"write {written(lines)}", lines,
     )  # fmt: skip
 
 

@@ -146,32 +146,30 @@ def _position(
         return _moved(log, spec, sensor_noise.smoothed, criteria)
 
     smoothed = tuple(map(change, logs))
-    again = [
-        _moved(log, spec, partial(_again, sensor_noise), criteria)
-        for log in smoothed[:count]
+    # Where a chamber is short the same noise moves its pressure further, so that logs
+    # that took no part may be left with more of it than those that are fitted.
+    groups = [g for g in (smoothed[:count], smoothed[count:]) if g]
+    again = partial(_again, sensor_noise)
+    both = [
+        (
+            ready(group, noise),
+            ready([_moved(log, spec, again, criteria) for log in group], noise),
+        )
+        for group in groups
     ]
 
     def problem_of(data: Data) -> Problem:
         return Problem.of(rig, free_parameters(spec), data, criteria)
 
-    one, other = ready(smoothed[:count], noise), ready(again, noise)
-
     def brought(problem: Problem, values: np.ndarray) -> np.ndarray:
-        left = [
-            replace(problem, batch=batch_of(data)).residuals_at(values)
-            for data in (one, other)
-        ]
-        shaken = np.sqrt(np.mean((other.windows.x - one.windows.x) ** 2, axis=1))
-        return _largest(
-            left[1] - left[0], one.log, shaken > SHAKEN * np.max(shaken, initial=0.0)
-        )
+        return np.max([_brought(problem, values, *pair) for pair in both], axis=0)
 
     def noise_by(problem: Problem, values: np.ndarray) -> np.ndarray:
         return np.hypot(noise, brought(problem, values))
 
     # How far the position moves the channels depends on what the rig is: that of the
     # file may be off, and one fitted without what it lacks may be distorted.
-    problem = problem_of(one)
+    problem = problem_of(both[0][0])
     start = problem.initial_values()
     extra = brought(problem, start)
     if not np.isfinite(extra[np.isfinite(noise)]).all():
@@ -184,6 +182,21 @@ def _position(
     extra = np.clip(extra, found, criteria.distorted * found)
     note = _position_note(sensor_noise, noise, extra)
     return Smoothed(smoothed, np.hypot(noise, extra), note, change, noise_by)
+
+
+def _brought(
+    problem: Problem, values: np.ndarray, one: Data, other: Data
+) -> Float[np.ndarray, "3"]:
+    """How far apart replays of the same logs with one position and with the other are,
+    RMS by channel, SI.
+    """
+    left = [
+        replace(problem, batch=batch_of(data)).residuals_at(values)
+        for data in (one, other)
+    ]
+    shaken = np.sqrt(np.mean((other.windows.x - one.windows.x) ** 2, axis=1))
+    largest = np.max(shaken, initial=0.0)
+    return _largest(left[1] - left[0], one.log, shaken > SHAKEN * largest)
 
 
 def _position_note(
@@ -200,8 +213,7 @@ def _position_note(
     return (
         f"the position is known to {1e6 * sensor_noise.sigma:.2g} um: "
         f"{_said(sensor_noise)} by a first fit, what is left of its noise moves "
-        f"{moves} RMS; that, or less where the model found says so, is counted into "
-        "their noise"
+        f"{moves} RMS; that, or what the model found says, is counted into their noise"
     )
 
 

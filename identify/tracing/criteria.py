@@ -228,6 +228,10 @@ class Criteria:
     distorted: float = 4.0
     """Ratio by which a rig as declared may answer the position's noise more strongly
     than the fitted one, 1: either may be wrong. `benchmarks.trace`."""
+    recounted: float = 1.5
+    """Ratio by which the model that was found may raise a channel's noise, by what the
+    position's brings there, 1: a first fit lacked effects, and may have been too soft.
+    `benchmarks.machines` (seed 65)."""
     backward: float = 5.0
     """Multiples of the force's noise by which friction must drive the motion for x to
     be taken as reversed, 1."""

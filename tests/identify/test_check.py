@@ -19,6 +19,7 @@ TRIED = (
     "area -2%", "P_s -10%", "psi turned round", "P_a1 turned round",
     "pressures exchanged", "degrees for radians", "MPa for bar", "kN for N",
     "noise of F x10", "noise of P_a1 x0.1", "valve left out", "friction left out",
+    "psi 1 ms late", "psi 20 ms late",
 )  # fmt: skip
 """Of all that `benchmarks.trace.lies` tells: each kind once."""
 TOLD = {lie.name: lie for lie in lies_of("pull-pull", "psi")}
@@ -57,6 +58,47 @@ def test_the_mend_is_the_lie_undone(honest, name):
     assert first.factor == pytest.approx(true, rel=5e-3)
     assert first.error is not None and first.error_if_mended is not None
     assert first.error_if_mended < 0.8 * first.error
+
+
+@pytest.mark.parametrize("ms", [1, 5, 20])
+def test_a_late_position_is_brought_forward(honest, tmp_path, ms):
+    """By as much as it is late, in the logs as read and in the files."""
+    rig, logs = honest
+    text, lied = TOLD[f"psi {ms} ms late"].told(rig.text, logs)
+    spec = hj.RigFile.from_text(text)
+    checked = hj.check(spec, lied).found
+    new, found = mended(spec, checked)
+    assert [(f.input, f.finding, f.mended) for f in found] == [("psi", "delay", True)]
+    assert new.channels["psi"].late == pytest.approx(1e-3 * ms, abs=1e-4)
+    given, left = found[0].error, found[0].error_if_mended
+    assert given is not None and left is not None and left < 0.8 * given
+    own = read_again(lied[0], found, new)
+    assert hj.check(new, [read_again(log, found, new) for log in lied]).found == ()
+    ((start, stop),) = own.segments
+    assert start == 0 and ms <= len(own.time) - stop <= ms + 1
+    true, late = logs[0].signals["psi"], lied[0].signals["psi"]
+    off = np.abs(own.signals["psi"] - true)[50 : stop - 50]
+    assert np.max(off) < 0.1 * np.max(np.abs(late - true))
+    frame = lied[0].to_frame()
+    units = frame.attrs["units"]
+    frame.columns = [f"{n} [{units[n]}]" for n in frame.columns]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    read = hj.Log.load(tmp_path / "log.csv", new.channels)
+    assert read.segments == own.segments
+    assert read.signals["psi"][:stop] == pytest.approx(own.signals["psi"][:stop])
+
+
+def test_a_late_command_is_not_a_late_position(honest):
+    """A dead time of the valve is an effect of the rig."""
+    rig, logs = honest
+
+    def late(log):
+        u = np.interp(log.time - 4e-3, log.time, log.signals["u"])
+        return replace(log, signals=log.signals | {"u": u})
+
+    assert not any(
+        f.finding == "delay" for f in hj.check(rig, list(map(late, logs))).found
+    )
 
 
 @pytest.mark.parametrize(

@@ -136,6 +136,23 @@ def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+def test_logs_near_an_end_are_judged_by_the_noise_there(tmp_path, monkeypatch):
+    """A log to validate with the piston 5 cm from the others' middle: one chamber is
+    half as long, and its pressure is moved twice as far.
+    """
+    case = coarse_case(tmp_path, monkeypatch, 17)
+    logs = [tmp_path / f"fit_{i}.csv" for i in (1, 2)]
+    table = pd.read_csv(tmp_path / "validate.csv")
+    (psi,) = (n for n in table.columns if n.startswith("psi"))
+    table[psi] += 0.05 / 0.085
+    table.to_csv(tmp_path / "moved.csv", index=False)
+    moved = open_case(tmp_path / "rig.toml", logs, [tmp_path / "moved.csv"])
+    brought = [np.sqrt(c.fit.noise[:2] ** 2 - 9e3**2) for c in (case, moved)]
+    ratio = np.sort(brought[1] / brought[0])
+    assert 0.9 < ratio[0] < 1.1 and 1.5 < ratio[1] < 2.7
+
+
+@pytest.mark.slow
 def test_under_a_coarse_encoder_nothing_missing_is_still_the_answer(
     tmp_path, monkeypatch
 ):

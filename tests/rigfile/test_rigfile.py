@@ -100,6 +100,12 @@ def refusal(tmp_path: Path, text: str, *words: str) -> None:
         assert word in line
 
 
+@pytest.mark.parametrize("delay", ['"5"', '"5 mm"', '"-1 ms"', '"2 s"', "5", '""'])
+def test_a_delay_that_is_none(tmp_path: Path, delay: str) -> None:
+    text = swapped("invert = true", f"delay = {delay}")
+    refusal(tmp_path, text, "[channels] u.delay", "expected")
+
+
 @pytest.mark.parametrize("scale", ["0", "-2", '"2"', "inf", "nan", "true"])
 def test_a_scale_that_is_none(tmp_path: Path, scale: str) -> None:
     text = swapped("invert = true", f"scale = {scale}")
@@ -121,7 +127,7 @@ def test_sound_rig(tmp_path: Path) -> None:
     )
     assert rig.output_load == {"F": 0.0}
     assert rig.channels["u"].model_dump() == {
-        "column": "MainU", "unit": "V", "invert": True, "scale": 1.0,
+        "column": "MainU", "unit": "V", "invert": True, "scale": 1.0, "delay": "0 s",
     }  # fmt: skip
     assert rig.channels["F"].unit is None
     assert not rig.channels["F"].invert
