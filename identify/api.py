@@ -229,7 +229,7 @@ class _Ready:
 
 def _searched(case: Case, state: Tracing) -> Tracing:
     """The search gone on with the noise by the model that it found, if any channel
-    stands above that.
+    stands above that; where it is more than before, without effects needless by it.
     """
     known = _with_noise_found(case, state)
     if known is state:
