@@ -4,8 +4,8 @@ A CSV or Parquet column is called `name [unit]`. In a MAT file the vectors are
 variables called by name, at the top or in a struct `log`; their units are the fields
 of a struct `units`, or variables `<name>_unit`. The rig file's [channels] may rename a
 column, give its unit (which then wins over the file's), invert its sign, and say how
-late it is. In an
-MCAP file or a ROS 2 bag it says which topic and field a signal is; see `rosbag`.
+late it is. In an MCAP file or a ROS 2 bag it says which topic and field a signal is;
+see `rosbag`.
 """
 
 from __future__ import annotations
@@ -165,7 +165,12 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
     notes += lost
     time = arrays.pop("time")
     stored.pop("time")
-    late = {n: c.late for n, c in channels.items() if n in arrays and c.late}
+    late = {n: c.late for n, c in channels.items() if n in (*arrays, "time") and c.late}
+    if "time" in late:
+        raise InputError(
+            f"{path}: [channels] time.delay: the time is not late to itself; give the "
+            "delay to the channels that are"
+        )
     shortest += max(late.values(), default=0.0)
     segments, cuts = segments_of(time, arrays, shortest)
     if not segments:
@@ -202,16 +207,15 @@ def brought_forward(
         The signals, and the segments without the end of which the late ones do not
         show anything.
     """
-    out = dict(signals)
     if not late:
-        return out, tuple(segments)
+        return dict(signals), tuple(segments)
+    out = {**signals, **{name: signals[name].copy() for name in late}}
     cut = []
     for start, stop in segments:
         own = time[start:stop]
         for name, lag in late.items():
-            moved = out[name] if out[name] is not signals[name] else out[name].copy()
-            moved[start:stop] = np.interp(own + lag, own, signals[name][start:stop])
-            out[name] = moved
+            y = signals[name][start:stop]
+            out[name][start:stop] = np.interp(own + lag, own, y)
         last = own[-1] - max(late.values())
         cut.append((start, start + int(np.searchsorted(own, last, side="right"))))
     return out, tuple(cut)

@@ -110,6 +110,7 @@ def position_delay(of: Inputs) -> Delay | None:
     if not _first_dip(late, steps[:2])[0]:
         return None
     given = _error(with_dead_time(0.0))
+    # Of a late position a dead time takes a part, and the other way round: by turns.
     for _ in range(3):
         of = with_dead_time(_first_dip(late, steps)[0])
     seconds, around = _first_dip(late, steps)

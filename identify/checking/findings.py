@@ -54,10 +54,14 @@ def inputs_that_lie(
     noise = {n: scale[n] * float(channels.noise[n]) for n in channels.index}
     if mended.has_flow:
         if (late := position_delay(mended)) is not None:
-            found.append(one := words.of_delay(late, mended))
+            one = words.of_delay(late, mended)
+            try:
+                of = replace(of, spec=applied(of.spec, one.lines))
+            except InputError:  # later than any channel may be
+                one = replace(one, lines={})
+            found.append(one)
             mended = mended.brought_forward("x", late.seconds)
-            mended = replace(mended, spec=applied(mended.spec, one.lines))
-            of = replace(of, spec=mended.spec)
+            mended = replace(mended, spec=of.spec)
         factor = supply_factor(mended)
         if factor is not None:
             found.append(words.of_supply(factor, mended))

@@ -71,12 +71,11 @@ def read_again(log: Log, mended: Sequence[Finding], spec: RigFile) -> Log:
         elif f.factor is not None:
             signals |= {n: f.factor * signals[n] for n in names}
     before = log.channels or {}
-    late = {
-        name: channel.late - (before[name].late if name in before else 0.0)
-        for name, channel in spec.channels.items()
-        if name in signals
-    }
-    late = {name: lag for name, lag in late.items() if lag > 0}
+    late = {}
+    for f in mended:
+        if f.finding == "delay" and f.input in signals:
+            was = before[f.input].late if f.input in before else 0.0
+            late[f.input] = spec.channels[f.input].late - was
     signals, segments = brought_forward(log.time, signals, log.segments, late)
     return replace(
         log, signals=signals, segments=segments, channels=dict(spec.channels)

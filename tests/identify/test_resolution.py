@@ -7,6 +7,7 @@ independent generator under an encoder of fewer bits.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,10 @@ import pytest
 
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
+from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.preparation.noise import SensorNoise, sensor_noise_of
 from hydrojax.identify.preparation.resolution import _largest
+from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log
 from tests import generator
 
@@ -133,6 +136,28 @@ def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
     assert not any("the position is known to" in note for note in case.fit.notes)
     raw = Log.load(tmp_path / "fit_1.csv")
     np.testing.assert_array_equal(case.fit_logs[0].signals["psi"], raw.signals["psi"])
+
+
+@pytest.mark.parametrize("found, beta, more", [(0.8, 1, 0.8), (1.2, 1, 1.2),
+                                               (3, 1, 1.5), (1.2, 3e9, 1)])  # fmt: skip
+def test_the_model_found_raises_the_noise_by_half_at_most(
+    recorded, monkeypatch, found, beta, more
+):
+    """And not at all where its oil is as stiff as it may be (3e9 Pa)."""
+    folder = recorded(1)
+    logs = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "validate")]
+    case = open_case(folder / "rig.toml", logs[:2], logs[2:])
+    problem, check, free, _ = api._problems(case, [])
+    values, noise = problem.initial_values(), np.asarray(problem.batch.noise)
+    if beta > 1:
+        values[problem.model.names.index("beta")] = beta
+    point = FitPoint(values, noise, 0, True)
+    monkeypatch.setattr(api, "fit_jointly", lambda problem, *_: (problem, point))
+    state = Tracing(problem, check, {}, free, point, lambda _: None)
+    case = replace(case, noise_by=lambda *_: found * noise)
+    known = api._with_noise_found(case, state)
+    np.testing.assert_allclose(known.noise, more * noise)
+    np.testing.assert_allclose(known.check.batch.noise, more * noise)
 
 
 @pytest.mark.slow

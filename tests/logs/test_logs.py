@@ -558,3 +558,22 @@ def test_a_table_has_its_units_beside_it_and_comes_back():
         np.testing.assert_array_equal(again.signals[name], values)
     with pytest.raises(InputError, match="'P_a1' has no unit"):
         Log.from_frame(plain, units={k: u for k, u in units_of.items() if k != "P_a1"})
+
+
+def test_a_late_column_is_brought_forward_in_each_stretch(tmp_path):
+    """Over a gap nothing is; where a stretch ends a late column shows nothing yet."""
+    run = a_run(4000)
+    path = write(tmp_path / "log.csv", {n: np.delete(y, slice(2000, 2100))
+                                        for n, y in run.items()})  # fmt: skip
+    log = Log.load(path, {"psi": Channel(column="psi", delay="20 ms")})
+    assert log.segments == ((0, 1980), (2000, 3880))
+    wave = np.radians(20.0) * np.sin(9.0 * (log.time + 0.02))
+    for start, stop in log.segments:
+        found = log.signals["psi"][start:stop]
+        np.testing.assert_allclose(found, wave[start:stop], atol=1e-9)
+    np.testing.assert_allclose(log.signals["u"], 3.0 * np.sin(9.0 * log.time))
+
+
+def test_the_time_is_not_late(tmp_path):
+    channels = {"time": Channel(column="time", delay="5 ms")}
+    refusal(write(tmp_path / "log.csv", a_run()), "time.delay", channels=channels)
