@@ -23,9 +23,9 @@ from hydrojax.tune.findings import Findings
 from hydrojax.tune.free import default_free, find_gain
 from hydrojax.tune.limiting import what_limits
 from hydrojax.tune.objective import Objective
-from hydrojax.tune.optimize import optimize_gains
+from hydrojax.tune.optimize import edges, optimize_gains
 from hydrojax.tune.plan import METHODS, Plan, with_excitations
-from hydrojax.tune.proposal import edges, propose, tolerance_of, try_before
+from hydrojax.tune.proposal import propose, tolerance_of, try_before
 from hydrojax.tune.result import Tuned
 from hydrojax.tune.setup import make_plants, open_rig, rig_file
 from hydrojax.tune.verification import cap
@@ -269,7 +269,7 @@ def _tuned(tuning: ToTune, starts: int, progress: Callable[[str], None]) -> Tune
         objective.aim,
         tolerance_of(objective),
         float(objective.setting.amplitude),
-        edges(objective, gains, optimum),
+        edges(objective, gains),
         comparison,
         notes(objective, after, most),
     )

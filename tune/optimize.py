@@ -26,6 +26,9 @@ REACH = 30.0
 REACH_DOWN = 300.0
 """How many times below where it starts a rate of adaptation may go; above, 3 times."""
 
+AT_END = 0.02
+"""Share of that range within which a gain is at its end."""
+
 PENALTY = 30.0
 """Weight of the squares by which constraints are broken."""
 
@@ -43,7 +46,6 @@ class Optimum:
         slack: what is left of each constraint, by name; < 0 is broken.
         seen: score and slack of each stable loop that was looked at on the way.
         others: the gains at which the other descents ended.
-        edges: places of the gains that are at an end of their search range.
     """
 
     gains: Float[np.ndarray, "gains"]
@@ -51,7 +53,6 @@ class Optimum:
     slack: dict[str, float]
     seen: Float[np.ndarray, "points 7"]
     others: tuple[Float[np.ndarray, "gains"], ...] = ()
-    edges: tuple[int, ...] = ()
 
     @property
     def kept(self) -> bool:
@@ -80,12 +81,10 @@ def optimize_gains(
     Returns:
         The best of those that break nothing; the one that breaks least if all do.
     """
-    floors = (_floor(q.name) for q in objective.free)
-    pairs = zip(objective.initial(), floors, strict=True)
-    here = np.array([max(pair) for pair in pairs])
-    low, high = _reach(objective)
+    here = origin(objective)
+    low, high = reach(objective)
     count = low.size
-    first = np.zeros(count) if begin is None else _mean_log(objective, begin / here)
+    first = np.zeros(count) if begin is None else mean_log(objective, begin / here)
     rng = np.random.default_rng([seed, 31])
     tries = [np.clip(first, low, high)] + [
         rng.uniform(np.maximum(low, -np.log(10)), np.minimum(high, np.log(3)))
@@ -104,7 +103,32 @@ def optimize_gains(
     )
     others = tuple(e.gains for e in ends if e is not best)
     seen = np.concatenate([e.seen for e in ends])
-    return Optimum(best.gains, best.score, best.slack, seen, others, best.edges)
+    return Optimum(best.gains, best.score, best.slack, seen, others)
+
+
+def origin(objective: Objective) -> Float[np.ndarray, "gains"]:
+    """The gains that logarithms are relative to: the setting's, none of them 0."""
+    floors = (_floor(q.name) for q in objective.free)
+    pairs = zip(objective.initial(), floors, strict=True)
+    return np.array([max(pair) for pair in pairs])
+
+
+def from_logs(
+    objective: Objective,
+    here: Float[np.ndarray, "gains"],
+    y: Float[np.ndarray, "groups"],
+) -> Float[np.ndarray, "gains"]:
+    """The gains at logarithms of their groups relative to `here`, of `origin`."""
+    return here * np.exp(y[objective.groups])
+
+
+def edges(objective: Objective, gains: Float[np.ndarray, "gains"]) -> tuple[str, ...]:
+    """Names of the gains that are at an end of the range that is searched."""
+    low, high = reach(objective)
+    y = mean_log(objective, gains / origin(objective))
+    near = np.minimum(y - low, high - y) < AT_END * (high - low)
+    pairs = zip(objective.free, near[objective.groups], strict=True)
+    return tuple(quantity.name for quantity, at_end in pairs if at_end)
 
 
 def _floor(name: str) -> float:
@@ -116,7 +140,9 @@ def _is_rate(quantity: Quantity) -> bool:
     return quantity.name in RATES
 
 
-def _reach(objective: Objective) -> tuple[np.ndarray, np.ndarray]:
+def reach(
+    objective: Objective,
+) -> tuple[Float[np.ndarray, "groups"], Float[np.ndarray, "groups"]]:
     """Ends of the logarithm of each group of gains, relative to its start."""
     low = np.full(int(objective.groups.max()) + 1, -np.log(REACH))
     high = -low
@@ -126,7 +152,9 @@ def _reach(objective: Objective) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def _mean_log(objective: Objective, ratio: np.ndarray) -> np.ndarray:
+def mean_log(
+    objective: Objective, ratio: Float[np.ndarray, "gains"]
+) -> Float[np.ndarray, "groups"]:
     """The logarithm of each group's mean ratio."""
     logs = np.log(np.maximum(ratio, 1e-9))
     count = int(objective.groups.max()) + 1
@@ -141,7 +169,7 @@ def _stable(objective: Objective, here: np.ndarray, y: np.ndarray) -> np.ndarray
         if not adaptive or q.name in ("k_p", "k_f") or _is_rate(q):
             lowered[group] = np.log(0.6)
     for _ in range(8):
-        if objective.stable(here * np.exp(y[objective.groups])):
+        if objective.stable(from_logs(objective, here, y)):
             break
         y = y + lowered
     return y
@@ -156,7 +184,7 @@ def _descend(
     def scored(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
         key = y.tobytes()
         if key not in seen:
-            gains = here * np.exp(y[objective.groups])
+            gains = from_logs(objective, here, y)
             value, slope, sound = objective.scores(gains)
             if not sound:  # unstable: keep the search away
                 value, slope = np.full(value.size, -10.0), np.zeros(slope.shape)
@@ -176,12 +204,9 @@ def _descend(
     # The last point may be one of the line search; take the best that was looked at.
     y = min((np.frombuffer(key) for key in seen), key=lambda y: cost(y)[0])
     value = scored(y)[0]
-    near = np.minimum(y - ends[0], ends[1] - y) < 0.02 * (ends[1] - ends[0])
     return Optimum(
-        here * np.exp(y[objective.groups]),
+        from_logs(objective, here, y),
         float(value[0]),
         dict(zip(CONSTRAINTS, map(float, value[1:]), strict=True)),
         np.array([v for v, _, sound in seen.values() if sound]).reshape(-1, value.size),
-        (),
-        tuple(int(i) for i in np.flatnonzero(near[objective.groups])),
     )

@@ -8,6 +8,7 @@ a descent, its slopes or a check ask for more. All else of a tuning is NumPy.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hydrojax.control.loop import Scenario, run
+from hydrojax.jax_setup import cores
 from hydrojax.parameters import put
 from hydrojax.programs.compiled import program
 from hydrojax.rigfile.quantities import Quantity, Setting
@@ -104,19 +106,23 @@ class Programs:
         The rows' speed is not used: the scenario moves the piston.
         """
         return self._chunks(
-            lambda r, k: self._run(setting, r, k, scenarios), (rows, which)
+            lambda r, k: self._run(setting, r, k, scenarios), (rows, which), cores()
         )
 
-    def _chunks(self, work: Callable[..., Any], table: tuple[Any, ...]) -> Any:
+    def _chunks(
+        self, work: Callable[..., Any], table: tuple[Any, ...], threads: int = 1
+    ) -> Any:
         table = jax.tree.map(np.asarray, table)
         count = jax.tree.leaves(table)[0].shape[0]
-        out = []
-        for start in range(0, count, self.size):
+
+        def chunk(start: int) -> Any:
             index = np.minimum(np.arange(start, start + self.size), count - 1)
-            part = jax.tree.map(lambda a, i=index: jnp.asarray(a[i]), table)
+            part = jax.tree.map(lambda a: jnp.asarray(a[index]), table)
             done = jax.tree.map(np.asarray, work(*part))
-            rest = min(self.size, count - start)
-            out.append(jax.tree.map(lambda a, n=rest: a[:n], done))
+            return jax.tree.map(lambda a: a[: min(self.size, count - start)], done)
+
+        with ThreadPoolExecutor(threads) as pool:
+            out = list(pool.map(chunk, range(0, count, self.size)))
         return jax.tree.map(lambda *a: np.concatenate(a), *out)
 
 

@@ -6,19 +6,29 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from hydrojax.control.base import RATES
 from hydrojax.tune.aims import TOLERANCE, Following
 from hydrojax.tune.objective import Objective
 from hydrojax.tune.optimize import Optimum
-from hydrojax.tune.verification import PEAK_SLACK, Tried, against, run_trials
+from hydrojax.tune.search import Judged, search
+from hydrojax.tune.verification import (
+    PEAK_SLACK,
+    Tried,
+    against,
+    checks,
+    run_trials,
+)
 
 BLENDS = (0.75, 0.5, 0.25, 0.1)
 """Shares of the way from the present gains to those found, in logarithms."""
 
 SLOWER = (0.1, 0.01)
 """Factors on the rates of adaptation that are tried with the gains found."""
+
+CALM = 0.7
+"""How much of what counts as an oscillation the search lets pass: on another plant, or
+with other noise, there is more of it."""
 
 NARROWER = 0.98
 """Least share of what is aimed at before that a proposal must reach."""
@@ -75,10 +85,11 @@ def propose(
     objective: Objective, optimum: Optimum, before: Tried, most: float,
     progress: Callable[[str], None],
 ) -> Proposal:  # fmt: skip
-    """Try all candidates on all plants; the best of those that nothing speaks against.
+    """Try gains on all plants; the best of those that nothing speaks against.
 
-    Those that keep the limit on the peak at both amplitudes come before those whose
-    peak is only no higher than before.
+    What the descents found is tried first, and then searched on from in the runs
+    themselves. Gains that keep the limit on the peak at both amplitudes come before
+    those whose peak is only no higher than before.
 
     Args:
         objective: plants, trials and aim.
@@ -87,21 +98,35 @@ def propose(
         most: the highest band that is promised, Hz.
         progress: called with a line of text.
     """
+    tolerance = tolerance_of(objective)
+
+    def judge(these: list[np.ndarray]) -> list[Judged]:
+        tried = run_trials(objective, these, most, tolerance)
+        return [judged(objective, t, before) for t in tried]
+
     these = candidates(objective, optimum)
     progress(f"try {len(these)} proposals in runs")
-    tried = run_trials(objective, these, most, tolerance_of(objective))
-    was = _reached(objective, before)
-    said = [
-        (*against(objective, t, before), *_narrower(objective, t, before, was))
-        for t in tried
-    ]
-    good = [t for t, reasons in zip(tried, said, strict=True) if not reasons]
-    most_dB = objective.limits.peak_dB + PEAK_SLACK
-    strict = [t for t in good if t.peak.max() <= most_dB]
-    if good:
-        best = max(strict or good, key=lambda t: _reached(objective, t))
-        return Proposal(before, best, (), len(these))
-    return Proposal(before, before, min(said, key=len), len(these))
+    found = search(objective, judge(these), judge, progress)
+    good = [j for j in found if not j.faults]
+    best = max(good or found, key=lambda j: j.rank)
+    after = best.tried if good else before
+    return Proposal(before, after, best.faults, len(found))
+
+
+def judged(objective: Objective, tried: Tried, before: Tried) -> Judged:
+    """What speaks against gains, and how good they are.
+
+    Ranked first by what exceeds its limit, in the runs by `CALM` of what counts as an
+    oscillation already; then by the peak, then by what is aimed at.
+    """
+    was, now = _reached(objective, before), _reached(objective, tried)
+    faults = (
+        *against(objective, tried, before),
+        *_narrower(objective, now, before, was),
+    )
+    over = max(float(c.over.max()) for c in checks(objective, tried, before, CALM))
+    steep = float(tried.peak.max()) - (objective.limits.peak_dB + PEAK_SLACK)
+    return Judged(tried, faults, (-max(over, 0.0), -max(steep, 0.0), now))
 
 
 def _reached(objective: Objective, tried: Tried) -> float:
@@ -109,18 +134,10 @@ def _reached(objective: Objective, tried: Tried) -> float:
 
 
 def _narrower(
-    objective: Objective, tried: Tried, before: Tried, was: float
+    objective: Objective, now: float, before: Tried, was: float
 ) -> tuple[str, ...]:
     """That less of what is aimed at is reached than before, if that was sound."""
-    now = _reached(objective, tried)
     least = was - (1 - NARROWER) * abs(was)
     if not before.sound or now >= least:
         return ()
     return (f"no better than before in {objective.aim.description}",)
-
-
-def edges(objective: Objective, gains: Float[np.ndarray, "gains"],
-          optimum: Optimum) -> tuple[str, ...]:  # fmt: skip
-    """Names of the gains that are at an end of their search range."""
-    same = gains == optimum.gains
-    return tuple(objective.free[i].name for i in optimum.edges if same[i])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +30,16 @@ force is not followed at all."""
 PEAK_SLACK = 1.0
 """How far a peak at an amplitude may exceed the limit of the linear one, dB."""
 
+GRAVE = 100.0
+"""How an eigenvalue beyond 1 weighs against other faults: by 0.01 as much as something
+that is e times as large as it may be."""
+
+AT_ONE = 1e-12
+"""An eigenvalue of 1 is too large."""
+
+DECIBELS = 6.0
+"""How many dB of a peak weigh as much."""
+
 
 @dataclass(frozen=True, eq=False)
 class Tried:
@@ -44,8 +55,9 @@ class Tried:
         small_moving: `rms_moving` at the smaller amplitude, N.
         eigenvalue: the largest with the adaptation live, at rest and at all speeds.
         late: the same with `DELAY_MARGIN` more delay.
-        oscillates: in which trials.
-        saturates: in which trials.
+        swings: RMS of what oscillates in each trial, of what counts as an oscillation.
+        full: share of the samples in which the command is at its end; 0 in the trials
+            whose desired force steps.
     """
 
     gains: Float[np.ndarray, "gains"]
@@ -58,8 +70,18 @@ class Tried:
     small_moving: Float[np.ndarray, "plants"]
     eigenvalue: Float[np.ndarray, "plants"]
     late: Float[np.ndarray, "plants"]
-    oscillates: Bool[np.ndarray, "trials plants"]
-    saturates: Bool[np.ndarray, "trials plants"]
+    swings: Float[np.ndarray, "trials plants"]
+    full: Float[np.ndarray, "trials plants"]
+
+    @property
+    def oscillates(self) -> Bool[np.ndarray, "trials plants"]:
+        """In which trials F oscillates."""
+        return self.swings > 1
+
+    @property
+    def saturates(self) -> Bool[np.ndarray, "trials plants"]:
+        """In which trials the command saturates."""
+        return self.full > trials.SATURATED
 
     @property
     def sound(self) -> bool:
@@ -155,16 +177,15 @@ def _tried(
     eigenvalue, late, noise = stability(objective, gains)
     swings = np.array([trials.oscillation(t, k, F[k], h) for k in range(len(F))])
     enough = np.maximum(trials.SHARE * t.amplitude[:, None], trials.NOISES * noise)
-    full = np.abs(u) >= trials.FULL * float(objective.setting.loop.law.u_max)
-    saturates = full.mean(-1) > trials.SATURATED
+    at_end = np.abs(u) >= trials.FULL * float(objective.setting.loop.law.u_max)
     locked, moving, small = (
         trials.rms_error(t, k, F[k])
         for k in (trials.FORCE_LOCKED, trials.MOVING, trials.MOVING_SMALL)
     )
     return Tried(
         np.asarray(gains), within, lag, follows, np.max(peaks, axis=0),
-        locked, moving, small, eigenvalue, late, swings > enough,
-        saturates & ~t.stepped[:, None],
+        locked, moving, small, eigenvalue, late, swings / enough,
+        np.where(t.stepped[:, None], 0.0, at_end.mean(-1)),
     )  # fmt: skip
 
 
@@ -192,47 +213,76 @@ def stability(
     return largest, late, noise
 
 
-def against(objective: Objective, tried: Tried, before: Tried) -> tuple[str, ...]:
-    """What speaks against proposing these gains; empty where nothing does."""
-    names, out = objective.trials.names, []
-    m = tried.eigenvalue.size
+class Check(NamedTuple):
+    """Something that proposed gains must keep.
 
-    def of(bad: np.ndarray) -> str:
-        return f"on {int(np.sum(bad))} of {m} plants"
+    Attributes:
+        broken: what is wrong where it is not kept.
+        over: for each plant, logarithm of how far it exceeds its limit; kept up to 0.
+        rest: more on it.
+    """
 
-    if np.any(bad := tried.eigenvalue >= 1):
-        out.append(
-            f"unstable with the adaptation live {of(bad)} (largest eigenvalue "
-            f"{tried.eigenvalue.max():.4f})"
-        )
-    elif np.any(bad := tried.late >= 1):
-        out.append(f"unstable with {DELAY_MARGIN} samples more delay {of(bad)}")
-    for says, table in (
-        ("oscillates", tried.oscillates),
-        ("saturates", tried.saturates),
+    broken: str
+    over: Float[np.ndarray, "plants"]
+    rest: str = ""
+
+    def __str__(self) -> str:
+        count = f"on {int(np.sum(self.over > 0))} of {self.over.size} plants"
+        return f"{self.broken} {count}{self.rest}"
+
+
+def _beyond(now: np.ndarray, most: np.ndarray | float) -> np.ndarray:
+    """The logarithm of how far something exceeds its limit."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        over = np.log(now) - np.log(most)
+    return np.where(np.isnan(over), np.inf, over)
+
+
+def checks(
+    objective: Objective, tried: Tried, before: Tried, calm: float = 1.0
+) -> list[Check]:
+    """All that proposed gains must keep, the gravest first.
+
+    Args:
+        objective: plants, trials and limits.
+        tried: the gains, tried.
+        before: the present ones, tried.
+        calm: how much of what counts as an oscillation is let pass.
+    """
+    largest = f" (largest eigenvalue {tried.eigenvalue.max():.4f})"
+    live, late = (GRAVE * (e - 1) + AT_ONE for e in (tried.eigenvalue, tried.late))
+    out = [
+        Check("unstable with the adaptation live", live, largest),
+        Check(
+            f"unstable with {DELAY_MARGIN} samples more delay",
+            np.where(np.any(live > 0), -np.inf, late),
+        ),
+    ]
+    for says, over in (
+        ("oscillates", _beyond(tried.swings, calm)),
+        ("saturates", _beyond(tried.full, trials.SATURATED)),
     ):
-        for name, bad in zip(names, table, strict=True):
-            if bad.any():
-                out.append(f"{says} in the run {name!r} {of(bad)}")
+        named = zip(objective.trials.names, over, strict=True)
+        out += [Check(f"{says} in the run {name!r}", each) for name, each in named]
+    wide = objective.limits.tracking * (WORSE if before.sound else 1.0)
     for says, now, was in (
         ("locked", tried.rms, before.rms),
         ("moving", tried.rms_moving, before.rms_moving),
         ("moving, small", tried.small_moving, before.small_moving),
     ):
-        wide = objective.limits.tracking * (WORSE if before.sound else 1.0)
-        bad = now > wide * was if before.sound else now > wide * np.max(was)
-        if np.any(bad):
-            i = int(np.argmax(now / was))
-            out.append(
-                f"tracks worse ({says}) {of(bad)}, {now[i]:.3g} N RMS against "
-                f"{was[i]:.3g} N before"
-            )
+        i = int(np.argmax(now / was))
+        figures = f", {now[i]:.3g} N RMS against {was[i]:.3g} N before"
+        most = wide * (was if before.sound else np.max(was))
+        out.append(Check(f"tracks worse ({says})", _beyond(now, most), figures))
     lost = LOST * objective.trials.amplitude[trials.MOVING]
-    if np.any(bad := tried.rms_moving > lost):
-        out.append(
-            f"does not follow (moving) {of(bad)}, {tried.rms_moving.max():.3g} N RMS"
-        )
+    figures = f", {tried.rms_moving.max():.3g} N RMS"
+    over = _beyond(tried.rms_moving, lost)
+    out.append(Check("does not follow (moving)", over, figures))
     peak = max(objective.limits.peak_dB + PEAK_SLACK, float(np.max(before.peak)))
-    if np.any(bad := tried.peak > peak):
-        out.append(f"peak of {tried.peak.max():.1f} dB {of(bad)}")
-    return tuple(out)
+    over = (tried.peak - peak) / DECIBELS
+    return [*out, Check(f"peak of {tried.peak.max():.1f} dB", over)]
+
+
+def against(objective: Objective, tried: Tried, before: Tried) -> tuple[str, ...]:
+    """What speaks against proposing these gains; empty where nothing does."""
+    return tuple(str(c) for c in checks(objective, tried, before) if np.any(c.over > 0))
