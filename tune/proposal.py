@@ -13,6 +13,7 @@ from hydrojax.tune.objective import Objective
 from hydrojax.tune.optimize import Optimum
 from hydrojax.tune.search import Judged, search
 from hydrojax.tune.verification import (
+    DECIBELS,
     PEAK_SLACK,
     Tried,
     against,
@@ -116,17 +117,16 @@ def propose(
 def judged(objective: Objective, tried: Tried, before: Tried) -> Judged:
     """What speaks against gains, and how good they are.
 
-    Ranked first by what exceeds its limit, in the runs by `CALM` of what counts as an
-    oscillation already; then by the peak, then by what is aimed at.
+    The search lets only `CALM` of what counts as an oscillation pass.
     """
     was, now = _reached(objective, before), _reached(objective, tried)
     faults = (
         *against(objective, tried, before),
         *_narrower(objective, now, before, was),
     )
-    over = max(float(c.over.max()) for c in checks(objective, tried, before, CALM))
+    over = np.array([c.over.max() for c in checks(objective, tried, before, CALM)])
     steep = float(tried.peak.max()) - (objective.limits.peak_dB + PEAK_SLACK)
-    return Judged(tried, faults, (-max(over, 0.0), -max(steep, 0.0), now))
+    return Judged(tried, faults, over, steep / DECIBELS, now)
 
 
 def _reached(objective: Objective, tried: Tried) -> float:

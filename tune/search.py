@@ -1,8 +1,8 @@
-"""Gains searched in simulated runs, around the best that was tried.
+"""Gains searched in simulated runs: all that speaks against them shows there.
 
-A descent sees the linearised loop and one run; what speaks against gains shows in all
-runs together, on the one plant where it is worst. So the search goes by what all runs
-say: towards what can be proposed first, and among that to what reaches its aim best.
+A descent sees the linearised loop and one run. What stands in the way of its gains is
+often another run, on one plant, so the search goes by all of them: first towards gains
+that keep every limit, then to where they reach what is aimed at best.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy import optimize
 from scipy.stats import qmc
 
 from hydrojax.tune.objective import Objective
@@ -24,18 +25,34 @@ WIDE = 36
 DOWN, UP = 100.0, 1.5
 """How far they lie below and above the present gains, at most."""
 
-AROUND = 12
+AROUND = 6
 """Gains that are tried in a round."""
 
-ROUNDS = 10
+ROUNDS = 20
 """At most."""
 
-BEGIN, END = 0.35, 0.04
-"""Spread of the first round, of the logarithm of each group of gains, and the spread
-below which no further round is tried."""
+BEGIN, END = 0.35, 0.02
+"""How far the first round goes, of the logarithm of each group of gains, and how far
+none goes any more."""
 
-WIDER, CLOSER = 1.3, 0.6
-"""How the spread changes after a round that found better gains, and after another."""
+FARTHER, CLOSER = 1.5, 0.6
+"""How far the next goes after a round that found better gains, and after another."""
+
+STRIDES = (1.0, 0.5, 2.0)
+"""Of that, how far gains may lie that a model of what was tried around promises."""
+
+NEAR = 3.0
+"""Of that, from how far away what was tried counts for the model."""
+
+MOST = 3.0
+"""Where the logarithm of how far a limit is exceeded is cut off: what goes on from
+there says nothing of what is near."""
+
+INSIDE = 0.02
+"""How far inside its limits the model looks for gains, of their logarithms."""
+
+PENALTY = 30.0
+"""What a limit exceeded e times costs, of what is aimed at."""
 
 
 class Judged(NamedTuple):
@@ -44,12 +61,27 @@ class Judged(NamedTuple):
     Attributes:
         tried: what they give.
         faults: what speaks against proposing them.
-        rank: the larger the better; figures are compared one after the other.
+        over: of each limit, the logarithm of how far it is exceeded; kept up to 0.
+        wanted: the same of what is wanted, and need not be kept.
+        aim: what is to be as large as it can be.
     """
 
     tried: Tried
     faults: tuple[str, ...]
-    rank: tuple[float, ...]
+    over: Float[np.ndarray, "limits"]
+    wanted: float
+    aim: float
+
+    @property
+    def rank(self) -> tuple[float, float, float]:
+        """By which gains are compared: the larger the better, figure by figure."""
+        worst = float(np.max(self.over))
+        return (-max(worst, 0.0), -max(self.wanted, 0.0), self.aim)
+
+    @property
+    def limits(self) -> Float[np.ndarray, "limits"]:
+        """All limits, cut off."""
+        return np.clip([*self.over, self.wanted], -MOST, MOST)
 
 
 def search(
@@ -61,49 +93,114 @@ def search(
 ) -> list[Judged]:
     """Gains around the best of those that were tried, round by round.
 
-    First gains that are spread evenly over `optimize.reach`, down from the present
-    ones: what is proposed may lie far from where a descent ended. Then each round tries
-    some at random around the best so far, one of them further along the last step.
+    First gains that are spread evenly, down from the present ones: what is proposed may
+    lie far from where a descent ended. Then rounds of sequential linear programming: a
+    model of all limits, fitted to what was tried near the best so far, says which gains
+    keep them and reach most; some at random keep the model alive.
 
     Args:
-        objective: whose gains they are.
-        begin: those that were tried already; at least one.
+        objective: whose gains they are; they stay within `optimize.reach`.
+        begin: what was tried already.
         judge: tries gains.
         progress: called with a line of text.
         seed: of the draws.
 
     Returns:
-        All that were tried, those of `begin` first.
+        All that was tried, that of `begin` first.
     """
     low, high = reach(objective)
     here = origin(objective)
     rng = np.random.default_rng([seed, 32])
+    found = [*begin]
+    logs = [mean_log(objective, j.tried.gains / here) for j in begin]
 
-    def gains_at(logs: np.ndarray) -> list[np.ndarray]:
-        return [from_logs(objective, here, each) for each in np.clip(logs, low, high)]
+    def try_all(these: list[Float[np.ndarray, "groups"]]) -> None:
+        inside = [np.clip(y, low, high) for y in these]
+        logs.extend(inside)
+        found.extend(judge([from_logs(objective, here, y) for y in inside]))
 
     progress("search in runs")
     even = qmc.LatinHypercube(low.size, rng=rng).random(WIDE)
     far = np.maximum(low, -np.log(DOWN))
-    out = [*begin, *judge(gains_at(far + even * (np.log(UP) - far)))]
-    best, spread, step = max(out, key=_rank), BEGIN, np.zeros(low.size)
-    y = np.clip(mean_log(objective, best.tried.gains / here), low, high)
+    try_all(list(far + even * (np.log(UP) - far)))
+    best, radius = _best(found), BEGIN
     for i in range(ROUNDS):
-        if spread < END:
-            break
         progress(f"search in runs, round {i + 1} of at most {ROUNDS}")
-        drawn = y + spread * rng.normal(size=(AROUND, low.size))
-        drawn[0] = y + step + (0.0 if step.any() else drawn[0] - y)
-        found = judge(gains_at(drawn))
-        out += found
-        k = max(range(AROUND), key=lambda k: found[k].rank)
-        better = found[k].rank > best.rank
-        spread *= WIDER if better else CLOSER
-        step = drawn[k] - y if better else np.zeros(low.size)
-        if better:
-            best, y = found[k], np.clip(drawn[k], low, high)
-    return out
+        y = logs[best]
+        box = low - y, high - y
+        model = _model(np.array(logs) - y, found, best, NEAR * radius)
+        drawn = [
+            y + step
+            for r in STRIDES
+            if model and (step := _step(*model, r * radius, box)) is not None
+        ]
+        rest = AROUND - len(drawn)
+        drawn += list(y + radius * rng.uniform(-1, 1, (rest, low.size)))
+        try_all(drawn)
+        better = _best(found) != best
+        best, radius = _best(found), radius * (FARTHER if better else CLOSER)
+        if radius < END:
+            break
+    return found
 
 
-def _rank(judged: Judged) -> tuple[float, ...]:
-    return judged.rank
+def _best(found: list[Judged]) -> int:
+    return max(range(len(found)), key=lambda i: found[i].rank)
+
+
+Model = tuple[
+    Float[np.ndarray, "limits"],
+    Float[np.ndarray, "groups limits"],
+    Float[np.ndarray, "groups"],
+]
+"""The limits where the model stands, their slopes, and the aim's, relative to it."""
+
+
+def _model(
+    away: Float[np.ndarray, "tried groups"],
+    found: list[Judged],
+    best: int,
+    reaches: float,
+) -> Model | None:
+    """Limits and aim to first order about the best; None where too little was tried
+    within `reaches` of it.
+    """
+    groups = away.shape[1]
+    distance = np.max(np.abs(away), axis=1)
+    near = np.argsort(distance)[1 : 3 * groups + 1]
+    near = near[distance[near] <= reaches]
+    if near.size < groups:
+        return None
+    centre = found[best]
+    size = max(abs(centre.aim), 1e-3)
+    rise = [
+        [
+            *(found[i].limits - centre.limits),
+            np.clip((found[i].aim - centre.aim) / size, -MOST, MOST),
+        ]
+        for i in near
+    ]
+    weight = np.exp(-((distance[near] / reaches) ** 2))[:, None]
+    # A direction in which nothing was tried has no slope.
+    rows = np.vstack([weight * away[near], 1e-2 * np.eye(groups)])
+    right = np.vstack([weight * np.array(rise), np.zeros((groups, len(rise[0])))])
+    slopes = np.linalg.lstsq(rows, right, rcond=None)[0]
+    return centre.limits, slopes[:, :-1], slopes[:, -1]
+
+
+def _step(
+    limits: Float[np.ndarray, "limits"],
+    slopes: Float[np.ndarray, "groups limits"],
+    aim: Float[np.ndarray, "groups"],
+    most: float,
+    box: tuple[Float[np.ndarray, "groups"], Float[np.ndarray, "groups"]],
+) -> Float[np.ndarray, "groups"] | None:
+    """Where the model's aim is largest within its limits, no farther than `most`."""
+    ends = zip(np.maximum(box[0], -most), np.minimum(box[1], most), strict=True)
+    out = optimize.linprog(
+        [*-aim, PENALTY],
+        A_ub=np.column_stack([slopes.T, -np.ones(limits.size)]),
+        b_ub=-limits - INSIDE,
+        bounds=[*ends, (0.0, None)],
+    )
+    return out.x[:-1] if out.success else None

@@ -12,6 +12,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -32,6 +33,7 @@ from hydrojax.tune import (
     measure,
     metrics,
     optimize,
+    search,
     trials,
     verification,
 )
@@ -49,8 +51,10 @@ from hydrojax.tune.limiting import what_limits
 from hydrojax.tune.objective import Objective
 from hydrojax.tune.programs import Rows
 from hydrojax.tune.proposal import propose, try_before
-from tests.tunings import tuned
+from hydrojax.tune.search import Judged
+from tests.tunings import tried, tuned
 
+TRIED = tried(16.0, 2.0, (True,) * 3)
 SPEC, _ = reference()
 KNOWN = {*SPEC.effects, *SPEC.parameters}
 MIDDLE = 0.7
@@ -301,6 +305,88 @@ def test_bad_gains_are_not_proposed(objective, proposal):
     said = " ".join(verification.against(objective, tried, proposal.before))
     for what in ("unstable with the adaptation live on 4 of 4", "oscillates", "satur"):
         assert what in said
+
+
+def test_a_search_finds_what_holds_far_from_where_it_begins():
+    """What may be proposed is a small part of the range, and no descent ended in it."""
+    free = [SimpleNamespace(name=n) for n in ("k_p", "k_f", "rho_a")]
+    own = np.array([1.2, 2.4, 700.0])
+    objective = SimpleNamespace(
+        free=free, groups=np.arange(3), initial=lambda: own.copy()
+    )
+    holds, far = np.log([0.3, 0.2, 0.05]), []
+
+    def judge(these):
+        out = []
+        for gains in these:
+            far.append(np.log(gains / own))
+            over = np.abs(far[-1] - holds) - 0.2
+            faults = ("no",) if over.max() > 0 else ()
+            tried = replace(TRIED, gains=gains)
+            out.append(Judged(tried, faults, over, -1.0, gains[0]))
+        return out
+
+    begin = judge([own, 0.9 * own])
+    found = search.search(objective, begin, judge, lambda _: None)
+    good = [j for j in found if not j.faults]
+    assert found[:2] == begin and good
+    best = max(good, key=lambda j: j.rank)
+    # What is aimed at, k_p, is largest where the limits end.
+    assert np.log(best.tried.gains[0] / own[0]) == pytest.approx(
+        holds[0] + 0.2, abs=0.05
+    )
+    low, high = optimize.reach(objective)
+    assert np.all(np.array(far) >= low - 1e-9) and np.all(np.array(far) <= high + 1e-9)
+
+
+def test_what_speaks_against_gains_is_weighed():
+    """Each limit by itself, just kept and just broken, and by how much."""
+    names = tuple("abcdefg")
+    objective = SimpleNamespace(
+        limits=Limits(),
+        trials=SimpleNamespace(names=names, amplitude=np.full(7, 200.0)),
+    )
+    three = np.ones(3)
+    was = replace(TRIED, rms=2 * three, rms_moving=9 * three, small_moving=9 * three)
+    second = np.zeros((7, 3))
+    second[0, 1] = 1.0  # of the second plant in the first trial
+
+    def over(**changed):
+        now = replace(was, **changed)
+        each = verification.checks(objective, now, was)
+        said = verification.against(objective, now, was)
+        assert [str(c) for c in each if c.over.max() > 0] == list(said)
+        return max(float(c.over.max()) for c in each), said
+
+    assert over()[0] <= 0 and over()[1] == ()
+    for kept, broken, says in (
+        ({"eigenvalue": 0.999 * three}, {"eigenvalue": 1.0 * three}, "unstable"),
+        ({"late": 0.999 * three}, {"late": 1.001 * three}, "more delay"),
+        ({"swings": 0.99 * second}, {"swings": np.e * second}, "oscillates in the run"),
+        ({"full": 0.009 * second}, {"full": 0.01 * np.e * second}, "saturates"),
+        ({"rms": 2.09 * three}, {"rms": 1.05 * np.e * 2 * three}, "tracks worse"),
+        ({"peak": 3.9 * three}, {"peak": 10.0 * three}, "peak of 10.0 dB on 3 of 3"),
+    ):
+        assert over(**kept)[1] == ()
+        how_far, said = over(**broken)
+        assert len(said) == 1 and says in said[0]
+        if says not in ("unstable", "more delay"):
+            assert how_far == pytest.approx(1.0)
+    assert over(swings=np.e * second)[1] == (
+        "oscillates in the run 'a' on 1 of 3 plants",
+    )
+    # A run that is no longer finite is the worst of all.
+    assert over(swings=np.inf * three * np.ones((7, 1)))[0] == np.inf
+
+
+@pytest.mark.slow
+def test_a_recorded_rig_gets_gains(objective):
+    """Its spool and delay are not said, and no descent ends where all plants hold."""
+    case = "case_02"  # a rig that was recorded by another plant
+    made = api.tune_gains(Path(__file__).parents[1] / "data" / case / "rig.toml")
+    assert made.proposal.found
+    assert not made.proposal.before.sound and made.proposal.after.sound
+    assert made.proposal.after.rms_moving.max() < 60
 
 
 @pytest.mark.slow
