@@ -95,30 +95,51 @@ def _quiet(**_: Any) -> None:
     """Optimistix asks for something to report each step to."""
 
 
+BRAKED = 0.1
+"""Step size after a failure at most, a damping of 1e-3: with less a step is the one that
+failed again."""
+
+FAILURES = 3
+"""Failures one after the other that end a fit: their damping is 1e-3, 0.1 and 10."""
+
+
+class _Trust(optx.ClassicalTrustRegion):
+    """Optimistix's rule, but that a failure counts however far trust has grown."""
+
+    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
+        """Whether to accept a step, and the size of the next."""
+        size, accept, result, state = super().step(
+            first_step, y, y_eval, f_info, f_eval_info, state
+        )
+        size = jnp.where(accept, size, jnp.minimum(size, BRAKED))
+        state = eqx.tree_at(lambda s: s.step_size, state, size)
+        return size, accept, result, state
+
+
 class _BoxedLM(optx.AbstractGaussNewton):
     rtol: float
     atol: float
     descent: optx.AbstractDescent
-    search: optx.AbstractSearch = optx.ClassicalTrustRegion(
+    search: optx.AbstractSearch = _Trust(
         # Trust grows sooner than optimistix's own rule lets it: beta and the valve
         # constants are nearly one direction, which heavy damping crosses slowly.
         high_cutoff=0.7,
         low_cutoff=0.1,
         high_constant=10.0,
-        low_constant=0.1,
+        low_constant=0.01,
     )
     norm: Callable = optx.max_norm
     verbose: Callable[..., None] = _quiet
 
     def terminate(self, fn, y, args, options, state, tags):
-        """Stop on a small step, when none is predicted to pay, or after six failures.
+        """Stop on a small step, when none is predicted to pay, or after failures.
 
-        Without the second rule a fit at its minimum goes on for a dozen rejected
-        steps, which differ from it by rounding.
+        Without the second rule a fit at its minimum goes on with steps that are
+        rejected, and differ from it by rounding.
         """
         cost = 0.5 * jnp.sum(state.f_info.residual**2)
         little = state.descent_state.predicted < jnp.maximum(ENOUGH * cost, ENOUGH_CHI2)
-        stuck = state.num_steps_since_acceptance >= 6
+        stuck = state.num_steps_since_acceptance >= FAILURES
         stop = little | stuck
         return state.terminate | (stop & ~state.first_step), state.result
 
