@@ -95,12 +95,13 @@ def _quiet(**_: Any) -> None:
     """Optimistix asks for something to report each step to."""
 
 
-BRAKED = 0.1
-"""Step size after a failure at most, a damping of 1e-3: with less a step is the one that
+BRAKED = 0.01
+"""Step size after a failure at most, a damping of 1e-2: with less a step is the one that
 failed again."""
 
 FAILURES = 3
-"""Failures one after the other that end a fit: their damping is 1e-3, 0.1 and 10."""
+"""Failures one after the other that end a fit: the second has a damping of 1e-2, the
+third of 1."""
 
 
 class _Trust(optx.ClassicalTrustRegion):

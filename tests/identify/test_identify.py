@@ -25,7 +25,11 @@ from hydrojax.identify.estimation import starts
 from hydrojax.identify.estimation.fit import fit_all
 from hydrojax.identify.estimation.known import Free, free_parameters
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.estimation.solve import minimise, minimise_step_by_step
+from hydrojax.identify.estimation.solve import (
+    FAILURES,
+    minimise,
+    minimise_step_by_step,
+)
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
 from hydrojax.identify.preparation import segments, windows
 from hydrojax.identify.preparation.data import prepare_logs, runs_backward
@@ -432,6 +436,23 @@ def test_fits_of_any_size_take_steps_outside(count):
     wanted = np.linalg.lstsq(A, b, rcond=None)[0]
     np.testing.assert_allclose(out.at, wanted, atol=1e-3)
     assert bool(out.converged)
+
+
+def test_a_failure_shortens_the_next_step_however_far_trust_has_grown():
+    """Eight steps keep what is promised, and beyond there none does: a wall."""
+    asked = []
+
+    def gram(d):
+        asked.append(float(d[0]))
+        cost = 100 + 0.5 * d[0] if d[0] > -8.3 else 200.0
+        return np.array([[1.0, 1.0], [1.0, 2 * cost]]), ()
+
+    out = minimise_step_by_step(gram, np.array([-99.0]), np.array([99.0]))
+    steps = np.diff([a for a in asked if a > -8.3])
+    np.testing.assert_allclose(steps[:8], -1.0, rtol=1e-3)
+    beyond = [-8 - a for a in asked[9:]]
+    assert len(beyond) == FAILURES and beyond[0] == pytest.approx(1.0, rel=1e-3)
+    assert beyond[-1] < 0.6 * beyond[0] and float(out.at[0]) == pytest.approx(-8, 0.01)
 
 
 def test_a_fit_whose_misfit_is_no_number_says_so():
