@@ -38,7 +38,7 @@ none goes any more."""
 FARTHER, CLOSER = 1.5, 0.6
 """How far the next goes after a round that found better gains, and after another."""
 
-STRIDES = (1.0, 0.5, 2.0)
+STRIDES = (1.0, 0.5)
 """Of that, how far gains may lie that a model of what was tried around promises."""
 
 NEAR = 3.0
@@ -73,14 +73,13 @@ class Judged(NamedTuple):
     aim: float
 
     @property
-    def rank(self) -> tuple[float, float, float]:
+    def rank(self) -> tuple[float, bool, float]:
         """By which gains are compared: the larger the better, figure by figure."""
-        worst = float(np.max(self.over))
-        return (-max(worst, 0.0), -max(self.wanted, 0.0), self.aim)
+        return (-max(float(np.max(self.over)), 0.0), self.wanted <= 0, self.aim)
 
     @property
     def limits(self) -> Float[np.ndarray, "limits"]:
-        """All limits, cut off."""
+        """What must be kept and, last, what is wanted, cut off."""
         return np.clip([*self.over, self.wanted], -MOST, MOST)
 
 
@@ -131,8 +130,9 @@ def search(
         model = _model(np.array(logs) - y, found, best, NEAR * radius)
         drawn = [
             y + step
+            for keep in ((slice(None),) if found[best].wanted <= 0 else BOTH)
             for r in STRIDES
-            if model and (step := _step(*model, r * radius, box)) is not None
+            if model and (step := _step(*model, keep, r * radius, box)) is not None
         ]
         rest = AROUND - len(drawn)
         drawn += list(y + radius * rng.uniform(-1, 1, (rest, low.size)))
@@ -147,6 +147,9 @@ def search(
 def _best(found: list[Judged]) -> int:
     return max(range(len(found)), key=lambda i: found[i].rank)
 
+
+BOTH = (slice(None), slice(None, -1))
+"""All limits, and those without what is wanted: it may be out of reach."""
 
 Model = tuple[
     Float[np.ndarray, "limits"],
@@ -192,10 +195,12 @@ def _step(
     limits: Float[np.ndarray, "limits"],
     slopes: Float[np.ndarray, "groups limits"],
     aim: Float[np.ndarray, "groups"],
+    keep: slice,
     most: float,
     box: tuple[Float[np.ndarray, "groups"], Float[np.ndarray, "groups"]],
 ) -> Float[np.ndarray, "groups"] | None:
-    """Where the model's aim is largest within its limits, no farther than `most`."""
+    """Where the model's aim is largest within the limits `keep`, at most `most` off."""
+    limits, slopes = limits[keep], slopes[:, keep]
     ends = zip(np.maximum(box[0], -most), np.minimum(box[1], most), strict=True)
     out = optimize.linprog(
         [*-aim, PENALTY],

@@ -23,6 +23,11 @@ DELAY_MARGIN = 0.25
 WORSE = 1.05
 """How much worse a plant may be than before, relative: rounding and noise."""
 
+SURE = 0.95
+"""Share of a tolerance within which F follows to where a band is promised: where the
+error is nearly flat about its tolerance, two simulators that differ by 1 % of F leave
+it at 10 and at 13 Hz (`python -m benchmarks.gains`)."""
+
 LOST = 0.5
 """Error with the joint moving, relative to the desired force, RMS, from which on the
 force is not followed at all."""
@@ -49,7 +54,8 @@ class Tried:
 
     Attributes:
         gains: in their units.
-        within_1dB, lag_90, follows_to: Hz; 0 where the run is not finite.
+        within_1dB, lag_90, follows_to: Hz; 0 where the run is not finite. F follows
+            with `SURE` of the tolerance.
         peak: dB.
         rms, rms_moving: of F_d - F, locked at 0.1 to 20 Hz, and moving, N.
         small_moving: `rms_moving` at the smaller amplitude, N.
@@ -170,7 +176,7 @@ def _tried(
             H = trials.response_of(t, k, F[k])
         alive = np.isfinite(H).all(-1) & np.isfinite(F[k]).all(-1)
         H = np.where(alive[:, None], H, 1e9)
-        each = bands(t.given.hertz, H, tolerance - np.abs(1 - H))
+        each = bands(t.given.hertz, H, SURE * tolerance - np.abs(1 - H))
         found.append([np.where(alive, np.minimum(b, most), 0.0) for b in each])
         peaks.append(metrics.decibels(H).max(-1))
     within, lag, follows = np.min(found, axis=0)
