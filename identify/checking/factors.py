@@ -47,6 +47,8 @@ HELD = 1.25
 """Ratio of errors from which a constant that is left out is called."""
 LATEST = 0.05
 """Seconds that a position is looked for to be late, at most."""
+DEAD = 0.25
+"""Seconds of dead time that a valve may have beside it, its lag in them."""
 LATE = 0.8
 """Share of the error beside all effects that bringing the position forward may leave;
 twice as far it leaves more than that."""
@@ -95,8 +97,9 @@ def position_delay(of: Inputs) -> Delay | None:
     valve. No effect makes a position late, but a sensor's lag does so to both
     pressures: a position that is early is not called.
     """
-    steps = of.h * np.array([0.5, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90])
-    steps = [0.0, *steps[steps <= LATEST].tolist()]
+    ticks = np.array([0.5, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 130, 180, 250])
+    steps = [0.0, *(t for t in of.h * ticks if t <= LATEST)]
+    dead_times = [0.0, *(t for t in of.h * ticks if t <= DEAD)]
     own = of
 
     def late(seconds: float) -> float:
@@ -104,7 +107,9 @@ def position_delay(of: Inputs) -> Delay | None:
 
     def with_dead_time(seconds: float) -> Inputs:
         near = own.brought_forward("x", seconds)
-        dead = _first_dip(lambda s: _error(near.brought_forward("u", -s)), steps)[0]
+        dead = _first_dip(lambda s: _error(near.brought_forward("u", -s)), dead_times)[
+            0
+        ]
         return own.brought_forward("u", -dead)
 
     if not _first_dip(late, steps[:2])[0]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hydrojax as hj
+from benchmarks.machines import files, record
 from benchmarks.trace.lies import Traced, lies_of, named
 from hydrojax.identify.checking.lines import applied, resized, turned
 from hydrojax.identify.checking.mended import mended, read_again
@@ -86,6 +87,14 @@ def test_a_late_position_is_brought_forward(honest, tmp_path, ms):
     read = hj.Log.load(tmp_path / "log.csv", new.channels)
     assert read.segments == own.segments
     assert read.signals["psi"][:stop] == pytest.approx(own.signals["psi"][:stop])
+
+
+def test_a_long_dead_time_is_not_a_late_position(tmp_path):
+    """A valve of 72 ms and 10 Hz: what it is late by beyond the position's longest."""
+    files.write(record.record([75])[0], tmp_path)
+    logs = sorted(tmp_path.glob("*.csv"))
+    found = hj.check(tmp_path / "rig.toml", logs).found
+    assert len(logs) == 3 and not any(f.finding == "delay" for f in found)
 
 
 def test_a_late_command_is_not_a_late_position(honest):
