@@ -12,6 +12,7 @@ from hydrojax.tune.limiting import Relaxed
 from hydrojax.tune.optimize import Optimum
 from hydrojax.tune.proposal import Proposal
 from hydrojax.tune.result import Tuned
+from hydrojax.tune.search import Judged
 from hydrojax.tune.verification import Tried
 
 SPEC, _ = reference()
@@ -46,8 +47,21 @@ def tried(edge: float, peak: float, stable: tuple[bool, ...]) -> Tried:
     return Tried(
         np.array([1.31, 3.2]), band, 2 * band, band / 2,
         np.array([peak, peak + 1, peak]), 2 * three, np.where(alive, 9.0, 600.0),
-        9 * three, np.where(alive, 0.99, 1.02), 0.99 * three, swings, 0 * swings,
+        9 * three, np.where(alive, 0.99, 1.02), 0.99 * three, three / 2,
+        swings, 0 * swings,
     )  # fmt: skip
+
+
+def judged(edge: float, peak: float, faults: tuple[str, ...] = ()) -> Judged:
+    """Three plants in runs, and what is said of them."""
+    over = np.array([0.3 if faults else -1.0])
+    return Judged(tried(edge, peak, (True,) * 3), faults, over, peak - 4.0, edge / 2)
+
+
+TRIALS = (
+    judged(32.0, 2.0), judged(30.0, 1.0), judged(20.0, 0.5), judged(34.0, 6.0, ("no",)),
+    judged(40.0, 9.0, ("no", "no")), judged(10.0, 0.2),
+)  # fmt: skip
 
 
 def tuned() -> Tuned:
@@ -63,14 +77,13 @@ def tuned() -> Tuned:
             tried(16.0, 4.0, (True, True, False)),
             replace(tried(32.0, 2.0, (True,) * 3), peak=np.array([2.0, 2.5, 2.0])),
             (),
-            6,
+            TRIALS,
         ),  # fmt: skip
         hertz=HERTZ,
         optimum=Optimum(
             np.array([1.31, 3.2]),
             float(np.log(28.0)),
             {"peak": 0.0, "noise": 0.4, "tracking": -0.3},
-            np.zeros((5, 4)),
         ),
         relaxed=(Relaxed("spool: ten times as fast", 38.0, 38 / 28 - 1),),
         plants="3 plants within 20 % of the rig in what it is made of",

@@ -71,6 +71,11 @@ class Aim(ABC):
     def description(self) -> str:
         """In a few words."""
 
+    @property
+    @abstractmethod
+    def reached(self) -> str:
+        """What `measured` gives the size of, with its unit."""
+
 
 @dataclass(frozen=True)
 class Following(Aim):
@@ -97,6 +102,11 @@ class Following(Aim):
     def description(self) -> str:
         """See `Aim`."""
         return f"the widest band with |1 - F/F_d| at most {self.tolerance:g}"
+
+    @property
+    def reached(self) -> str:
+        """See `Aim`."""
+        return "follows up to (Hz)"
 
 
 @dataclass(frozen=True)
@@ -125,6 +135,11 @@ class Magnitude(Aim):
         """See `Aim`."""
         return f"the widest band with |F/F_d| within {self.within_dB:g} dB"
 
+    @property
+    def reached(self) -> str:
+        """See `Aim`."""
+        return "magnitude kept up to (Hz)"
+
 
 @dataclass(frozen=True)
 class Tracking(Aim):
@@ -145,6 +160,11 @@ class Tracking(Aim):
         """See `Aim`."""
         return "the smallest tracking error with the joint moving"
 
+    @property
+    def reached(self) -> str:
+        """See `Aim`."""
+        return "error, joint moving (N RMS)"
+
 
 @dataclass(frozen=True)
 class Rejection(Aim):
@@ -164,6 +184,11 @@ class Rejection(Aim):
     def description(self) -> str:
         """See `Aim`."""
         return "the best rejection of slow disturbances"
+
+    @property
+    def reached(self) -> str:
+        """See `Aim`."""
+        return "error, joint moving (N RMS)"
 
 
 AIMS: tuple[type[Aim], ...] = (Following, Magnitude, Tracking, Rejection)

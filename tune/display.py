@@ -72,8 +72,8 @@ def sentence(t: Tuning) -> str:
     count = now.follows_to.size
     if t.obstacles:
         return (
-            f"No gains are proposed: of {t.proposal.tried} tried, none holds in the "
-            f"runs on all {count} plants. In the way of the best: "
+            f"No gains are proposed: of {len(t.proposal.tried)} tried, none holds in "
+            f"the runs on all {count} plants. In the way of the best: "
             f"{'; '.join(t.obstacles)}."
         )
     small, size = t.amplitudes
@@ -218,20 +218,45 @@ def limits_figure(t: Tuning) -> Figure:
 
 
 def front_figure(t: Tuning) -> Figure:
-    """Aim against tracking, peak and noise of all stable gains; the chosen point.
-
-    Each is shown as what is left to its limit: above 0 it is kept.
-    """
-    fig = Figure(figsize=(9.0, 3.2), layout="constrained")
-    seen, here = t.optimum.seen, (t.optimum.score, t.optimum.slack)
-    for ax, name in zip(fig.subplots(1, 3), ("tracking", "peak", "noise"), strict=True):
-        i = 1 + list(t.optimum.slack).index(name)
-        ax.plot(np.exp(seen[:, 0]), seen[:, i], ".", color=_BEFORE, ms=4, alpha=0.5)
-        ax.plot(np.exp(here[0]), here[1][name], "o", color=_AFTER, label="chosen")
-        ax.axhline(0, color="black", lw=0.8)
-        ax.set_title(f"{name}: left to its limit", fontsize=9)
-        ax.set_xlabel("aim, worst plant, linearised")
+    """The aim against tracking, peak and noise of all gains that were run."""
+    fig = Figure(figsize=(9.6, 3.7), layout="constrained")
+    tried = t.proposal.tried
+    reached = np.abs([j.aim for j in tried])
+    holds = np.array([not j.faults for j in tried])
+    panels = (
+        ("rms_moving", "error, joint moving (N RMS)", "log"),
+        ("peak", "peak (dB)", "linear"),
+        ("noise", "force by the sensors' noise (N RMS)", "log"),
+    )
+    now, was = t.proposal.after, t.proposal.before
+    for ax, (name, says, scale) in zip(fig.subplots(1, 3), panels, strict=True):
+        worst = np.array([getattr(j.tried, name).max() for j in tried])
+        for which, colour, label in (
+            (~holds, "0.7", "something speaks against"),
+            (holds, _AFTER, "holds on all plants"),
+        ):
+            ax.plot(reached[which], worst[which], ".", color=colour, ms=5, label=label)
+        for one, mark, colour, label in (
+            (was, "s", _BEFORE, "before"),
+            (now, "o", _AFTER, "chosen"),
+        ):
+            at = abs(t.aim.measured(one.figures(None))), getattr(one, name).max()
+            ax.plot(*at, mark, color=colour, mec="black", ms=8, label=label)
+        ax.set_yscale(scale)
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter("{x:g}" if scale == "log" else "")
+        # What is far from any use would press the rest into a corner.
+        good = worst[holds] if holds.any() else np.array([getattr(was, name).max()])
+        span = np.ptp(good) + 6.0
+        ends = (good.min() / 2, 4 * good.max()) if scale == "log" else (
+            min(good.min() - 1.0, 0.0), good.max() + span)  # fmt: skip
+        if np.all(np.isfinite(ends)):
+            ax.set_ylim(*ends)
+        ax.set_ylabel(says, fontsize=9)
+        ax.set_xlabel(t.aim.reached, fontsize=9)
         ax.grid(alpha=0.3)
+    lines, names = fig.axes[0].get_legend_handles_labels()
+    fig.legend(lines, names, loc="outside lower center", ncols=4, fontsize=8)
     return fig
 
 

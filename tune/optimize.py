@@ -44,14 +44,12 @@ class Optimum:
         gains: in their units.
         score: of the aim.
         slack: what is left of each constraint, by name; < 0 is broken.
-        seen: score and slack of each stable loop that was looked at on the way.
         others: the gains at which the other descents ended.
     """
 
     gains: Float[np.ndarray, "gains"]
     score: float
     slack: dict[str, float]
-    seen: Float[np.ndarray, "points 7"]
     others: tuple[Float[np.ndarray, "gains"], ...] = ()
 
     @property
@@ -102,8 +100,7 @@ def optimize_gains(
         else max(ends, key=lambda e: min(e.slack.values()))
     )
     others = tuple(e.gains for e in ends if e is not best)
-    seen = np.concatenate([e.seen for e in ends])
-    return Optimum(best.gains, best.score, best.slack, seen, others)
+    return Optimum(best.gains, best.score, best.slack, others)
 
 
 def origin(objective: Objective) -> Float[np.ndarray, "gains"]:
@@ -208,5 +205,4 @@ def _descend(
         from_logs(objective, here, y),
         float(value[0]),
         dict(zip(CONSTRAINTS, map(float, value[1:]), strict=True)),
-        np.array([v for v, _, sound in seen.values() if sound]).reshape(-1, value.size),
     )

@@ -43,13 +43,13 @@ class Proposal:
         before: the present gains, tried.
         after: the gains proposed; the present ones where none is.
         obstacles: what stands in the way, where none is proposed.
-        tried: how many were.
+        tried: all that were, and what is to be said of them.
     """
 
     before: Tried
     after: Tried
     obstacles: tuple[str, ...]
-    tried: int
+    tried: tuple[Judged, ...]
 
     @property
     def found(self) -> bool:
@@ -111,7 +111,7 @@ def propose(
     good = [j for j in found if not j.faults]
     best = max(good or found, key=lambda j: j.rank)
     after = best.tried if good else before
-    return Proposal(before, after, best.faults, len(found))
+    return Proposal(before, after, best.faults, tuple(found))
 
 
 def judged(objective: Objective, tried: Tried, before: Tried) -> Judged:

@@ -37,11 +37,11 @@ def tuning_pictures(t: Tuning) -> dict[str, tuple[Figure, str, str]]:
             "ensemble's stable plants; dashed: where it leaves 1 dB.",
         )
     }  # fmt: skip
-    if t.optimum.seen.size:
+    if t.proposal.tried:
         out["tune_front"] = (
-            front_figure(t), "Band against tracking, peak and noise.",
-            "All stable gains that the descents looked at; above the line a limit is "
-            "kept.",
+            front_figure(t), "What is aimed at against tracking, peak and noise.",
+            "All gains that were run, each at its worst plant. Gains that are worse "
+            "than all that hold by far lie outside.",
         )  # fmt: skip
     if t.relaxed:
         out["tune_limits"] = (

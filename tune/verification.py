@@ -61,6 +61,7 @@ class Tried:
         small_moving: `rms_moving` at the smaller amplitude, N.
         eigenvalue: the largest with the adaptation live, at rest and at all speeds.
         late: the same with `DELAY_MARGIN` more delay.
+        noise: RMS of F by the sensors' noise, at rest, linearised, N.
         swings: RMS of what oscillates in each trial, of what counts as an oscillation.
         full: share of the samples in which the command is at its end; 0 in the trials
             whose desired force steps.
@@ -76,6 +77,7 @@ class Tried:
     small_moving: Float[np.ndarray, "plants"]
     eigenvalue: Float[np.ndarray, "plants"]
     late: Float[np.ndarray, "plants"]
+    noise: Float[np.ndarray, "plants"]
     swings: Float[np.ndarray, "trials plants"]
     full: Float[np.ndarray, "trials plants"]
 
@@ -190,7 +192,7 @@ def _tried(
     )
     return Tried(
         np.asarray(gains), within, lag, follows, np.max(peaks, axis=0),
-        locked, moving, small, eigenvalue, late, swings / enough,
+        locked, moving, small, eigenvalue, late, noise, swings / enough,
         np.where(t.stepped[:, None], 0.0, at_end.mean(-1)),
     )  # fmt: skip
 

@@ -96,8 +96,8 @@ def _quiet(**_: Any) -> None:
 
 
 BRAKED = 0.01
-"""Step size after a failure at most, a damping of 1e-2: with less a step is the one that
-failed again."""
+"""Step size after a failure at most, a damping of 1e-2: with less, a step is the one
+that failed again."""
 
 FAILURES = 3
 """Failures one after the other that end a fit: the second has a damping of 1e-2, the
