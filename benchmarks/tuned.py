@@ -118,7 +118,9 @@ def table(rows: list[Row]) -> str:
         )
         lines.append(" | ".join(("", *cells, "")).strip())
     new = [r for r in rows if r["proposed"]]
-    off = [abs(r["measured"][1] / r["promised"][1] - 1) for r in new]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pairs = np.array([(r["measured"][1], r["promised"][1]) for r in new])
+        off = np.nan_to_num(np.abs(np.divide(*pairs.T) - 1)).tolist() if new else []
     worse = [r for r in new for n in ("locked", "moving") if r[n][1] > WORSE * r[n][0]]
     lines += [
         "",

@@ -17,6 +17,7 @@ from hydrojax.tune.verification import (
     PEAK_SLACK,
     Tried,
     against,
+    beyond,
     checks,
     run_trials,
 )
@@ -30,6 +31,10 @@ SLOWER = (0.1, 0.01)
 CALM = 0.7
 """How much of what counts as an oscillation the search lets pass: on another plant, or
 with other noise, there is more of it."""
+
+NEAR_FIRST = 1.1
+"""How much larger the errors of what is searched may be than those of the descents'
+gains: a band may grow at the price of all that lies in it."""
 
 NARROWER = 0.98
 """Least share of what is aimed at before that a proposal must reach."""
@@ -89,8 +94,9 @@ def propose(
     """Try gains on all plants; the best of those that nothing speaks against.
 
     What the descents found is tried first, and then searched on from in the runs
-    themselves. Gains that keep the limit on the peak at both amplitudes come before
-    those whose peak is only no higher than before.
+    themselves: for more of what is aimed at, but with errors that stay near those of
+    the descents' best that holds. Gains that keep the limit on the peak at both
+    amplitudes come before those whose peak is only no higher than before.
 
     Args:
         objective: plants, trials and aim.
@@ -101,32 +107,42 @@ def propose(
     """
     tolerance = tolerance_of(objective)
 
-    def judge(these: list[np.ndarray]) -> list[Judged]:
+    def judge(these: list[np.ndarray], first: Tried | None = None) -> list[Judged]:
         tried = run_trials(objective, these, most, tolerance)
-        return [judged(objective, t, before) for t in tried]
+        return [judged(objective, t, before, first) for t in tried]
 
     these = candidates(objective, optimum)
     progress(f"try {len(these)} proposals in runs")
-    found = search(objective, judge(these), judge, progress)
+    begin = judge(these)
+    good = [j for j in begin if not j.faults]
+    first = max(good, key=lambda j: j.rank).tried if good else None
+    begin = [judged(objective, j.tried, before, first) for j in begin]
+    found = search(objective, begin, lambda these: judge(these, first), progress)
     good = [j for j in found if not j.faults]
     best = max(good or found, key=lambda j: j.rank)
     after = best.tried if good else before
     return Proposal(before, after, best.faults, tuple(found))
 
 
-def judged(objective: Objective, tried: Tried, before: Tried) -> Judged:
+def judged(
+    objective: Objective, tried: Tried, before: Tried, first: Tried | None = None
+) -> Judged:
     """What speaks against gains, and how good they are.
 
-    The search lets only `CALM` of what counts as an oscillation pass.
+    The search lets only `CALM` of what counts as an oscillation pass, and of the worst
+    plant's errors no more than `NEAR_FIRST` times those of `first`, where it is given.
     """
     was, now = _reached(objective, before), _reached(objective, tried)
     faults = (
         *against(objective, tried, before),
         *_narrower(objective, now, before, was),
     )
-    over = np.array([c.over.max() for c in checks(objective, tried, before, CALM)])
+    over = [float(c.over.max()) for c in checks(objective, tried, before, CALM)]
+    for name in ("rms", "rms_moving", "small_moving") if first else ():
+        most = NEAR_FIRST * np.max(getattr(first, name))
+        over.append(float(beyond(np.max(getattr(tried, name)), most)))
     steep = float(tried.peak.max()) - (objective.limits.peak_dB + PEAK_SLACK)
-    return Judged(tried, faults, over, steep / DECIBELS, now)
+    return Judged(tried, faults, np.array(over), steep / DECIBELS, now)
 
 
 def _reached(objective: Objective, tried: Tried) -> float:

@@ -239,7 +239,9 @@ class Check(NamedTuple):
         return f"{self.broken} {count}{self.rest}"
 
 
-def _beyond(now: np.ndarray, most: np.ndarray | float) -> np.ndarray:
+def beyond(
+    now: Float[np.ndarray, "*plants"], most: Float[np.ndarray, "*plants"] | float
+) -> Float[np.ndarray, "*plants"]:
     """The logarithm of how far something exceeds its limit."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         over = np.log(now) - np.log(most)
@@ -267,8 +269,8 @@ def checks(
         ),
     ]
     for says, over in (
-        ("oscillates", _beyond(tried.swings, calm)),
-        ("saturates", _beyond(tried.full, trials.SATURATED)),
+        ("oscillates", beyond(tried.swings, calm)),
+        ("saturates", beyond(tried.full, trials.SATURATED)),
     ):
         named = zip(objective.trials.names, over, strict=True)
         out += [Check(f"{says} in the run {name!r}", each) for name, each in named]
@@ -281,10 +283,10 @@ def checks(
         i = int(np.argmax(now / was))
         figures = f", {now[i]:.3g} N RMS against {was[i]:.3g} N before"
         most = wide * (was if before.sound else np.max(was))
-        out.append(Check(f"tracks worse ({says})", _beyond(now, most), figures))
+        out.append(Check(f"tracks worse ({says})", beyond(now, most), figures))
     lost = LOST * objective.trials.amplitude[trials.MOVING]
     figures = f", {tried.rms_moving.max():.3g} N RMS"
-    over = _beyond(tried.rms_moving, lost)
+    over = beyond(tried.rms_moving, lost)
     out.append(Check("does not follow (moving)", over, figures))
     peak = max(objective.limits.peak_dB + PEAK_SLACK, float(np.max(before.peak)))
     over = (tried.peak - peak) / DECIBELS
