@@ -223,10 +223,14 @@ def largest_eigenvalue(s: System) -> Float[np.ndarray, "rows"]:
     """The largest |eigenvalue| of stacked live systems but those of what stays put.
 
     Estimates that nothing distinguishes, such as the Coulomb level and the offset at a
-    constant speed, stay put together: eigenvalues of 1 that rounding spreads.
+    constant speed, stay put together: eigenvalues of 1 that rounding spreads. inf where
+    there is no system: its point was never reached.
     """
-    values = np.linalg.eigvals(s.A)
-    return np.max(np.where(np.abs(values - 1) < STAYS, 0.0, np.abs(values)), axis=-1)
+    A = np.asarray(s.A)
+    there = np.isfinite(A).all(axis=(-2, -1))
+    values = np.linalg.eigvals(np.where(there[..., None, None], A, 0.0))
+    most = np.max(np.where(np.abs(values - 1) < STAYS, 0.0, np.abs(values)), axis=-1)
+    return np.where(there, most, np.inf)
 
 
 def radius(s: System) -> Float[Array, ""]:

@@ -172,9 +172,9 @@ def _model(
     distance = np.max(np.abs(away), axis=1)
     near = np.argsort(distance)[1 : 3 * groups + 1]
     near = near[distance[near] <= reaches]
-    if near.size < groups:
-        return None
     centre = found[best]
+    if near.size < groups or not np.isfinite(centre.aim):
+        return None
     size = max(abs(centre.aim), 1e-3)
     rise = [
         [

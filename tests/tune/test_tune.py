@@ -339,6 +339,34 @@ def test_a_search_finds_what_holds_far_from_where_it_begins():
     assert np.all(np.array(far) >= low - 1e-9) and np.all(np.array(far) <= high + 1e-9)
 
 
+def test_a_search_gets_off_gains_whose_runs_have_no_end():
+    """None that was tried first follows at all: no model, and yet it goes on."""
+    free = [SimpleNamespace(name=n) for n in ("k_p", "k_f")]
+    objective = SimpleNamespace(
+        free=free, groups=np.arange(2), initial=lambda: np.ones(2)
+    )
+
+    def judge(these):
+        out = []
+        for gains in these:
+            dead = np.log(gains[0]) > -3.2
+            over = np.array([np.inf if dead else -1.0])
+            aim = -np.inf if dead else -float(gains[1])
+            faults = ("no",) if dead else ()
+            out.append(Judged(replace(TRIED, gains=gains), faults, over, over[0], aim))
+        return out
+
+    found = search.search(objective, judge([np.ones(2)]), judge, lambda _: None)
+    assert any(not j.faults for j in found)
+    assert max(found, key=lambda j: j.rank).aim > -0.1
+
+
+def test_a_point_that_is_never_reached_is_unstable():
+    A = np.stack([0.5 * np.eye(2), np.full((2, 2), np.nan)])
+    system = SimpleNamespace(A=A)
+    np.testing.assert_array_equal(linearize.largest_eigenvalue(system), [0.5, np.inf])
+
+
 def test_what_speaks_against_gains_is_weighed():
     """Each limit by itself, just kept and just broken, and by how much."""
     names = tuple("abcdefg")
