@@ -28,7 +28,7 @@ from hydrojax.identify.estimation.columns import (
     slot_names,
     thinned,
 )
-from hydrojax.identify.estimation.pieces import Span, in_pieces
+from hydrojax.identify.estimation.pieces import Span, at_once, in_pieces
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.sensitivity import opened_along
 from hydrojax.identify.estimation.starts import placed
@@ -142,15 +142,19 @@ def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
     free = problem.side(free, True)
     slots = (problem.most_slots(free)[0], 0)
     model, at = problem.model.acting(values, free)
-    gram = _run(
-        model,
-        at,
-        basis(model, free, slots).hydraulic,
-        filled(problem.batch, problem.least),
-        jnp.asarray(_weight(problem.batch)),
-    )
+    directions = basis(model, free, slots).hydraulic
+    full = jax.tree.map(jnp.asarray, filled(problem.batch, problem.least))
+    weight = jnp.asarray(_weight(problem.batch))
+
+    def part(first: np.int32, end: np.int32) -> np.ndarray:
+        return np.asarray(_run(model, at, directions, full, weight, Span(first, end)))
+
+    # Two parts on any machine: sums of others are rounded otherwise.
+    handfuls = -(-len(problem.batch.P_0) // HANDFUL)
+    ends = np.linspace(0, handfuls, min(handfuls, 2) + 1).astype(np.int32)
+    gram = np.sum(at_once(part, ends[:-1], ends[1:]), axis=0)
     columns = slot_names(problem.model, free, slots)
-    return Linear.of(problem, values, columns, np.array(gram))
+    return Linear.of(problem, values, columns, gram)
 
 
 def in_brief(problem: Problem) -> Problem:
@@ -196,8 +200,11 @@ def _run(
     directions: Float[Array, "n_1 k"],
     batch: Batch,
     weight: Float[Array, "rows ticks"],
+    handfuls: Span,
 ) -> Float[Array, "rows_k rows_k"]:
-    """Gram matrix of the balances' sums, each over its displacement's RMS."""
+    """Gram matrix of the balances' sums in some handfuls of windows, each over its
+    displacement's RMS.
+    """
     n, zero = model.hydraulic, jnp.zeros(directions.shape[1])
     ends = batch.windows.x_fine[..., :: batch.windows.x_fine.shape[-1] - 1]
     swept = (jnp.diff(ends, axis=-1)[..., 0] @ weight.T) ** 2
@@ -218,7 +225,6 @@ def _run(
         stack = jnp.concatenate([by, lacks[None]]) * per
         return jnp.einsum("icwr,jcwr->wij", stack, stack)
 
-    handfuls = Span(0, -(-jnp.sum(batch.weight > 0) // HANDFUL))
     each = in_pieces(
         some, HANDFUL, handfuls, batch.windows, batch.weight, most=len(swept)
     )
