@@ -408,11 +408,11 @@ def test_what_speaks_against_gains_is_weighed():
 
 
 @pytest.mark.slow
-def test_a_recorded_rig_gets_gains(objective):
+def test_a_recorded_rig_gets_gains(recorded):
     """Its spool and delay are not said, and no descent ends where all plants hold."""
-    case = "case_02"  # a rig that was recorded by another plant
-    made = api.tune_gains(Path(__file__).parents[1] / "data" / case / "rig.toml")
+    made = api.tune_gains(recorded(1) / "rig.toml")
     assert made.proposal.found
+    assert all(j.faults for j in made.proposal.tried[:9])  # the descents' own
     assert not made.proposal.before.sound and made.proposal.after.sound
     assert made.proposal.after.rms_moving.max() < 60
 
