@@ -199,7 +199,11 @@ def _tried(
 
 def stability(
     objective: Objective, gains: Float[np.ndarray, "gains"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[
+    Float[np.ndarray, "plants"],
+    Float[np.ndarray, "plants"],
+    Float[np.ndarray, "plants"],
+]:
     """Largest live eigenvalue as it is and with more delay, and noise of F, N."""
     speeds, m = (0.0, *ALL_SPEEDS), len(objective.values)
     rows = objective.rows(gains, speeds)

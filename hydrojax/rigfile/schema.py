@@ -26,6 +26,7 @@ from hydrojax.rigfile.sections import (
     SUPPLY_UNITS,
     ControllerValue,
     Entry,
+    Given,
     base_specs,
     effect_specs,
     entry,
@@ -246,12 +247,8 @@ def read_rig(
     file = read_sections(path, text)
     check_known(f"{path}: [channels]", file.channels, SIGNALS, "signal")
     check_known(f"{path}: [effects]", file.effects, effects, "effect")
-    base = givens(f"{path}: [parameters]", file.parameters, parameters)
     layout = LAYOUTS[file.layout]
-    if unused := [g for g in base if not layout.has_valve and g.field in LANDS]:
-        raise InputError(
-            f"{unused[0].where}: layout {layout.name!r} has no valve; delete the line"
-        )
+    base = _base(f"{path}: [parameters]", file.parameters, parameters, layout)
     added = {
         name: givens(f"{path}: [effects.{name}]", table, effects[name])
         for name, table in file.effects.items()
@@ -287,6 +284,18 @@ def read_rig(
     )
     _check(spec)
     return spec
+
+
+def _base(
+    where: str, table: Mapping[str, Any], known: Mapping[str, Spec], layout: Layout
+) -> list[Given]:
+    """What is given of the base model; no lands where there is no valve."""
+    base = givens(where, table, known)
+    if unused := [g for g in base if not layout.has_valve and g.field in LANDS]:
+        raise InputError(
+            f"{unused[0].where}: layout {layout.name!r} has no valve; delete the line"
+        )
+    return base
 
 
 def _sensor_units(command: str) -> dict[str, str]:
