@@ -227,7 +227,7 @@ def largest_eigenvalue(s: System) -> Float[np.ndarray, "rows"]:
     there is no system: its point was never reached.
     """
     A = np.asarray(s.A)
-    there = np.isfinite(A).all(axis=(-2, -1))
+    there = np.asarray(np.all(np.isfinite(A), axis=(-2, -1)))
     values = np.linalg.eigvals(np.where(there[..., None, None], A, 0.0))
     most = np.max(np.where(np.abs(values - 1) < STAYS, 0.0, np.abs(values)), axis=-1)
     return np.where(there, most, np.inf)
