@@ -118,16 +118,16 @@ def table(rows: list[Row]) -> str:
         )
         lines.append(" | ".join(("", *cells, "")).strip())
     new = [r for r in rows if r["proposed"]]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pairs = np.array([(r["measured"][1], r["promised"][1]) for r in new])
-        off = np.nan_to_num(np.abs(np.divide(*pairs.T) - 1)).tolist() if new else []
+    wide = [r for r in new if r["promised"][1] > 0]
+    off = [abs(r["measured"][1] / r["promised"][1] - 1) for r in wide]
     worse = [r for r in new for n in ("locked", "moving") if r[n][1] > WORSE * r[n][0]]
     lines += [
         "",
         f"{len(new)} of {len(rows)} got new gains; of these "
         f"{sum(r['oscillates'][1] for r in new)} oscillate in the other plant "
-        f"({sum(r['oscillates'][0] for r in rows)} of all did before), the band of "
-        f"{sum(o <= AGREES for o in off)} agrees within {AGREES:.0%} "
+        f"({sum(r['oscillates'][0] for r in rows)} of all did before), "
+        f"{len(wide)} are promised a band, which agrees within {AGREES:.0%} for "
+        f"{sum(o <= AGREES for o in off)} "
         f"(largest difference {max(off, default=0.0):.0%}), and "
         f"{len({r['case'] for r in worse})} track worse than before.",
     ]
