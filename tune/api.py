@@ -143,8 +143,9 @@ def tune_gains(
     """Find the gains with which F follows F_d best on every plant of an ensemble.
 
     What the descents find is tried in simulated runs on all plants, the adaptation at
-    work: joint locked and moving, steps, two amplitudes. Gains that oscillate,
-    saturate or track worse than those before are not proposed.
+    work: joint locked and moving, steps, two amplitudes; from there gains are searched
+    in these runs. Gains that oscillate, saturate or track worse than those before are
+    not proposed.
 
     Args:
         rig: a rig file, or its path.
