@@ -25,8 +25,8 @@ WORSE = 1.05
 
 SURE = 0.85
 """Share of a tolerance within which F follows to where a band is promised: where the
-error is nearly flat about its tolerance, two simulators that differ by 3 % of F leave
-it at 10 and at 14 Hz (`python -m benchmarks.gains`)."""
+error is nearly flat about its tolerance, a second simulator that differs by a few per
+cent of F would leave it far below (`python -m benchmarks.gains` compares the two)."""
 
 LOST = 0.5
 """Error with the joint moving, relative to the desired force, RMS, from which on the

@@ -107,10 +107,11 @@ def position_delay(of: Inputs) -> Delay | None:
 
     def with_dead_time(seconds: float) -> Inputs:
         near = own.brought_forward("x", seconds)
-        dead = _first_dip(lambda s: _error(near.brought_forward("u", -s)), dead_times)[
-            0
-        ]
-        return own.brought_forward("u", -dead)
+
+        def behind(seconds: float) -> float:
+            return _error(near.brought_forward("u", -seconds))
+
+        return own.brought_forward("u", -_first_dip(behind, dead_times)[0])
 
     if not _first_dip(late, steps[:2])[0]:
         return None
