@@ -61,10 +61,10 @@ def axis(data: Path, measured: Measured) -> Own:
     motion = found.outcome.motion
     if motion is None:
         raise RuntimeError("EMPS has no motion to predict")
-    whole = motion.errors.horizons["free"]
+    whole = motion.channels["x"].horizons["free"]
     rows = {
         "hydrojax": whole.after,
-        "hydrojax, fitted to the balance of forces": motion.windows,
+        "hydrojax, fitted to the balance of forces": motion.windows["x"],
         "published parameters (least squares)": _published(found.case),
         "ARX(4, 4) at every tick of 1 ms": whole.arx,
         "held where it began": whole.held,
@@ -106,7 +106,7 @@ def _published(case: Case) -> float | None:
 
     published = {"L_slope": 1e6, "z_ss": 1e-7, **PUBLISHED}
     motion = predict_motion(case, {}, published, {}, ())
-    return motion and motion.windows
+    return motion and motion.windows["x"]
 
 
 OWN: Mapping[str, Callable[[Path, Measured], Own]] = {

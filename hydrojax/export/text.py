@@ -39,7 +39,7 @@ def toml_of(spec: RigFile) -> str:
         ("geometry", _quantities(spec.geometry, GEOMETRY)),
         ("supply", _quantities(spec.supply, pressures)),
         ("sensors", _quantities(spec.sensors, signal_units(spec))),
-        ("load", _quantities(spec.output_load, LOAD)),
+        ("load", _load(spec)),
         ("valve", _table(spec)),
         ("channels", _channels(spec)),
         ("parameters", _entries(spec.parameters)),
@@ -97,6 +97,15 @@ def _quantity(value: float, unit: str) -> str:
 
 def _quantities(values: Mapping[str, float], wants: Mapping[str, str]) -> Tree:
     return {name: _quantity(value, wants[name]) for name, value in values.items()}
+
+
+def _load(spec: RigFile) -> Tree:
+    """The section [load]."""
+    out = _quantities(spec.output_load, LOAD)
+    for name, ends in spec.load_ranges.items():
+        shown = [_quantity(end, LOAD[name]) for end in ends]
+        out[name] = {"start": out[name], "range": shown}
+    return out | ({"predicts": spec.predicts} if spec.predicts else {})
 
 
 def _table(spec: RigFile) -> Tree:

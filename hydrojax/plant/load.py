@@ -37,6 +37,19 @@ class PistonMotion(NamedTuple):
     a: Float[Array, "*batch"]
 
 
+class JointedMotion(NamedTuple):
+    """Where the piston stands (m, m/s, m/s^2), by how much the joint behind it is
+    pressed together (m), and how the second mass moves (m/s, m/s^2).
+    """
+
+    x: Float[Array, "*batch"]
+    v: Float[Array, "*batch"]
+    a: Float[Array, "*batch"]
+    bent: Float[Array, "*batch"]
+    second_v: Float[Array, "*batch"]
+    second_a: Float[Array, "*batch"]
+
+
 Force = Callable[[Array, Array], Array]
 """The output force (N) at a part's end, of velocity and acceleration there."""
 
@@ -196,6 +209,7 @@ class Inertia(_Moving):
     second order, stable up to 2/h rad/s, and without damping of its own.
     """
 
+    name: ClassVar[str] = "load"
     meets_stops = True
 
     mass: Float[Array, ""] = param("kg", 150.0, 1e-3, 1e6, "load's mass")
@@ -236,7 +250,11 @@ class Inertia(_Moving):
         h: Float[Array, "*batch"],
         force: Force,
     ) -> tuple[PistonMotion, Float[Array, "*batch"]]:
-        """Motion at the part's end, and the force there, N.
+        """Motion at the part's end, and the force there, N."""
+        return self._answer(at, x, environment, h, force, 0.0, 0.0)
+
+    def _answer(self, at, x, environment, h, force, held, heavier):
+        """As `advance`, under `held` (N) more of a pull, and `heavier` (kg) by that.
 
         A mass before the load cell makes the force depend on the acceleration, along
         a line: two points of it and the load's own line meet in the answer.
@@ -248,5 +266,43 @@ class Inertia(_Moving):
         pull = self.damping * (half - environment.v) + self.stiffness * (
             x[..., 2] - environment.x[..., 2]
         )
-        a = (rest - pull) / (self.mass + self.damping * h / 2 - slope)
+        own = self.mass + self.damping * h / 2 + heavier
+        a = (rest - pull - held) / (own - slope)
         return PistonMotion(x[..., 2], half + h / 2 * a, a), rest + slope * a
+
+
+class JointedInertia(Inertia):
+    """An inertia that carries a second mass through an elastic joint: a boom that
+    bends, a load on a long rod.
+
+    `second_mass a_2 = f` with `f = second_stiffness (x - x_2) + second_damping
+    (v - v_2)`, which the first mass carries as well; by the same rule.
+    """
+
+    second_mass: Float[Array, ""] = param("kg", 100.0, 1e-3, 1e6, "mass on the joint")
+    second_stiffness: Float[Array, ""] = param(
+        "N/m", 1e5, 0.0, 1e10, "the joint's spring"
+    )
+    second_damping: Float[Array, ""] = param(
+        "N*s/m", 1e2, 0.0, 1e8, "the joint's damper"
+    )
+
+    def begin(self, environment, h, force):
+        """As an inertia, the joint slack and the second mass at rest."""
+        rest = jnp.zeros_like(h)
+        return JointedMotion(*super().begin(environment, h, force), rest, rest, rest)
+
+    def advance(self, at, x, environment, h, force):
+        """Motion at the part's end, and the force there, N."""
+        half, second = at.v + h / 2 * at.a, at.second_v + h / 2 * at.second_a
+        bent = at.bent + h * (half - second)
+        lag = self.second_damping * h / 2
+        # What the joint holds if nothing accelerates, and how that grows with a.
+        still = self.second_stiffness * bent + self.second_damping * (half - second)
+        share = self.second_mass / (self.second_mass + lag)
+        motion, F = self._answer(
+            at, x, environment, h, force, share * still, share * lag
+        )
+        second_a = (still + lag * motion.a) / (self.second_mass + lag)
+        second = second + h / 2 * second_a
+        return JointedMotion(*motion, bent, second, second_a), F

@@ -14,9 +14,9 @@ from hydrojax.control.loop import Loop, Sensors
 from hydrojax.effects import EFFECTS, offered
 from hydrojax.effects.valve import LONGEST, FlowTable, ValveDelay
 from hydrojax.errors import InputError
-from hydrojax.parameters import get, put
+from hydrojax.parameters import get, put, specs
 from hydrojax.plant.effect import CommandChannel, Effect
-from hydrojax.plant.load import Driven, Inertia
+from hydrojax.plant.load import Driven, Inertia, JointedInertia
 from hydrojax.plant.rig import Rig, add, bare_rig
 from hydrojax.plant.valve import MeteringEdges
 from hydrojax.rigfile.controller import (
@@ -252,8 +252,9 @@ def free_load(file: RigFile) -> Inertia:
     """The load of a rig file as one that moves by itself, held to mid-stroke by its
     spring and to the ground by its damper; without a mass where the file gives none.
     """
-    names = ("mass", "stiffness", "damping")
-    return Inertia(**{name: _array(file.output_load.get(name, 0.0)) for name in names})
+    given = {name: v for name, v in file.output_load.items() if name != "F"}
+    kind = JointedInertia if "second_mass" in given else Inertia
+    return kind(**{name: _array(given.get(name, 0.0)) for name in specs(kind)})
 
 
 def _load(file: RigFile) -> Driven | Inertia:
@@ -265,5 +266,4 @@ def _load(file: RigFile) -> Driven | Inertia:
             f'{file.path}: [load] mass is missing; add mass = "150 kg", or take '
             "stiffness and damping out: the environment then leads the piston"
         )
-    rest = {"stiffness": 0.0, "damping": 0.0} | given
-    return Inertia(**{name: _array(v) for name, v in rest.items()})
+    return free_load(file)

@@ -14,7 +14,7 @@ from hydrojax.effects.fluid import PressureCompensation
 from hydrojax.parameters import Spec, specs
 from hydrojax.rigfile.plain import text
 from hydrojax.rigfile.schema import RigFile
-from hydrojax.rigfile.sections import Entry
+from hydrojax.rigfile.sections import LOAD_PARAMETERS, Entry
 from hydrojax.rigfile.valve import MARGIN
 
 Values = Mapping[str, float]
@@ -59,6 +59,11 @@ def rewrite(
             if field not in spec.effects[section] and value != s.default:
                 fields[field] = _entry(value, s, spec.command_unit)
     _rewrite_margin(document, spec, values)
+    for key, old in spec.output_load.items():
+        value = values.get(f"load.{key}", old)
+        if value != old:
+            known = LOAD_PARAMETERS[key]
+            _set(document["load"], key, value, known, False, spec.command_unit)
     if added:
         effects = document.setdefault("effects", tomlkit.table(is_super_table=True))
         for effect in added:

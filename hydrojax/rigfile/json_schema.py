@@ -16,6 +16,7 @@ from hydrojax.rigfile.other_controllers import OTHERS
 from hydrojax.rigfile.sections import (
     GEOMETRY,
     LOAD,
+    LOAD_PARAMETERS,
     PREDICTED,
     SUPPLY_UNITS,
     Sections,
@@ -58,6 +59,9 @@ KEY_MEANINGS: Mapping[str, str] = {
     "load.stiffness": "of the spring to the load; slack at mid-stroke where motion is "
     "predicted",
     "load.damping": "of the spring to the load",
+    "load.second_mass": "of what the load carries through an elastic joint",
+    "load.second_stiffness": "of that joint",
+    "load.second_damping": "of that joint",
 }
 """What each key of [geometry], [supply] and [load] is."""
 
@@ -82,6 +86,8 @@ def rig_schema() -> dict[str, Any]:
         said = {k: KEY_MEANINGS.get(f"{section}.{k}", f"noise of {k}") for k in keys}
         entries = {k: quantity_schema(u, said[k]) for k, u in keys.items()}
         if section == "load":
+            own = parameters(LOAD_PARAMETERS)
+            entries |= {k: e | {"description": said[k]} for k, e in own.items()}
             said = "what is an output of the model, and not given by the log"
             entries["predicts"] = {"enum": list(PREDICTED), "description": said}
         sections[section] |= object_schema(entries)

@@ -291,9 +291,9 @@ def _load(spec: RigFile, setting: Setting) -> list[Quantity]:
     if not isinstance(setting.loop.load, Inertia):
         return []
     return [
-        Quantity(f"load.{name}", p.unit, p.description, positive=name == "mass",
+        Quantity(f"load.{name}", p.unit, p.description, positive=name.endswith("mass"),
                  reach=lambda s, name=name: [getattr(s.loop.load, name)])
-        for name, p in specs(Inertia).items()
+        for name, p in specs(setting.loop.load).items()
     ]  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from hydrojax.rigfile.sections import (
     GEOMETRY,
     LANDS,
     LOAD,
+    LOAD_PARAMETERS,
     PREDICTED,
     SUPPLY,
     SUPPLY_UNITS,
@@ -49,8 +50,9 @@ class RigFile:
         supply: P_s, P_r in Pa, for logs without these channels.
         sensors: standard deviation of the noise, by signal.
         output_load: the section [load]: F in N, if the load is known without a sensor;
-            for closed-loop runs mass, stiffness and damping (kg, N/m, N s/m) of an
-            inertia on the output.
+            for closed-loop runs and a predicted motion mass, stiffness and damping (kg,
+            N/m, N s/m) of an inertia on the output, and of a second one behind it.
+        load_ranges: of those that are to be found from the motion, SI.
         predicts: "x" where the load is to move by itself, and its position is
             predicted; "" where the log's motion is given.
         channels: where signals are in the logs, by the contract's names.
@@ -87,6 +89,7 @@ class RigFile:
     valve: AbstractValve | None = None
     tolerances: dict[str, float] = field(default_factory=dict)
     predicts: str = ""
+    load_ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
     table: valves.Table | None = None
     text: str = field(default="", repr=False, compare=False)
 
@@ -260,7 +263,7 @@ def read_rig(
     sensed = _sensor_units(command)
     geometry, own = _with_tolerances(f"{path}: [geometry]", file.geometry, GEOMETRY)
     check_known(f"{path}: [load]", file.load, (*LOAD, "predicts"), "key")
-    load = {key: value for key, value in file.load.items() if key != "predicts"}
+    load, ranges = _load(f"{path}: [load]", file.load)
     supply, also = _with_tolerances(f"{path}: [supply]", file.supply, SUPPLY_UNITS)
     spec = RigFile(
         name=file.name or one_line(Path(path).stem, WORD),
@@ -268,7 +271,7 @@ def read_rig(
         geometry=geometry,
         supply=supply,
         sensors=section_values(f"{path}: [sensors]", file.sensors, sensed),
-        output_load=section_values(f"{path}: [load]", load, LOAD),
+        output_load=load,
         channels=file.channels,
         parameters={g.field: entry(g, command) for g in base},
         effects={
@@ -279,6 +282,7 @@ def read_rig(
         path=path,
         tolerances=own | also,
         predicts=file.load.get("predicts", ""),
+        load_ranges=ranges,
         table=valves.table_of(path, file.valve, command) if kind == "table" else None,
         text=text,
     )
@@ -296,6 +300,28 @@ def _base(
             f"{unused[0].where}: layout {layout.name!r} has no valve; delete the line"
         )
     return base
+
+
+def _load(
+    where: str, table: Mapping[str, Any]
+) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
+    """What [load] gives, and the ranges of what is to be found, SI.
+
+    Raises:
+        InputError: no quantity, a wrong unit, a range that cannot be, or one of F.
+    """
+    given = {key: value for key, value in table.items() if key != "predicts"}
+    ranged = {key: v for key, v in given.items() if isinstance(v, dict)}
+    if "F" in ranged:
+        raise InputError(f'{where} F is known: give it no range; write F = "0 N"')
+    plain = {key: v for key, v in given.items() if key not in ranged}
+    values, ranges = section_values(where, plain, LOAD), {}
+    for found in givens(where, ranged, LOAD_PARAMETERS):
+        own = entry(found, "V")
+        values[found.field] = own.start
+        if own.range is not None:
+            ranges[found.field] = own.range
+    return values, ranges
 
 
 def _sensor_units(command: str) -> dict[str, str]:
@@ -336,15 +362,17 @@ def _check(spec: RigFile) -> None:
                 raise InputError(
                     f"{spec.path}: [{section}] {key} must be above 0, not {value:g}"
                 )
-    least = {"supply": spec.supply, "load": spec.output_load}
+    lower = {f"{key} range": ends[0] for key, ends in spec.load_ranges.items()}
+    least = {"supply": spec.supply, "load": spec.output_load | lower}
     for section, values in least.items():
         for key, value in values.items():
-            if value < 0.0 and key != "F" or (key == "mass" and value == 0.0):
+            heavy = key.partition(" ")[0] in ("mass", "second_mass")
+            if value < 0.0 and key != "F" or (heavy and value == 0.0):
                 raise InputError(
                     f"{spec.path}: [{section}] {key} must be "
-                    f"{'above' if key == 'mass' else 'at least'} 0, not {value:g}; "
-                    "correct it"
+                    f"{'above' if heavy else 'at least'} 0, not {value:g}; correct it"
                 )
+    _check_load(spec)
     _check_predicted(spec)
     ends = [spec.geometry[key] for key in ("x_from", "x_to") if key in spec.geometry]
     if len(ends) == 1 or (ends and ends[0] >= ends[1]):
@@ -356,6 +384,24 @@ def _check(spec: RigFile) -> None:
     if P_s is not None and P_s <= (P_r or 0.0):
         raise InputError(
             f"{spec.path}: [supply] P_s must be above P_r; exchange or correct them"
+        )
+
+
+def _check_load(spec: RigFile) -> None:
+    """Refuse a second mass without what carries it, and ranges that nothing fits."""
+    given = spec.output_load
+    second = [key for key in given if key.startswith("second_")]
+    needs = ("second_mass", "second_stiffness", "mass")
+    if second and (lacking := [key for key in needs if key not in given]):
+        raise InputError(
+            f"{spec.path}: [load] {second[0]} needs {lacking[0]} beside it; add "
+            f'{lacking[0]} = "... {LOAD[lacking[0]]}"'
+        )
+    if spec.load_ranges and not spec.predicts:
+        key = next(iter(spec.load_ranges))
+        raise InputError(
+            f"{spec.path}: [load] {key} has a range, but only a predicted motion can "
+            f'find it; add predicts = "{PREDICTED[0]}", or give {key} one value'
         )
 
 

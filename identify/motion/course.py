@@ -26,17 +26,21 @@ MOST_PARTS = 64
 """Parts of a tick at most."""
 
 
+SIGNALS = {"x": "m", "P_a1": "Pa", "P_a2": "Pa", "F": "N"}
+"""What a moving load's model predicts, and its unit."""
+
+
 class Course(NamedTuple):
     """R runs of N ticks, one for each log, padded with their last row; SI.
 
-    `inputs` drives every tick but the last, [R, N-1, ...]. `measured` [R, N, 3] is x,
-    P_a1 and P_a2, of which `v` and `a` [R, N] are the motion's derivatives; what is not
-    measured is NaN. The first `lead` ticks let memories settle; `there` [R, N] says
+    `inputs` drives every tick but the last, [R, N-1, ...]. `measured` [R, N, 4] is
+    what `SIGNALS` names, of which `v` and `a` [R, N] are the motion's derivatives; what
+    is not measured is NaN. The first `lead` ticks let memories settle; `there` [R, N] says
     which ticks are a log's own and come after that.
     """
 
     inputs: StepInput
-    measured: Float[Array, "runs n 3"]
+    measured: Float[Array, "runs n 4"]
     v: Float[Array, "runs n"]
     a: Float[Array, "runs n"]
     there: Float[Array, "runs n"]
@@ -97,15 +101,15 @@ def _rows(case: Case, log: Log, parts: int) -> dict[str, np.ndarray]:
     driven_by = case.fit.driven_by
     s = segment(0, log, case.spec, rows, driven_by, own.sign, own.band)
     x = s.place(s.t)
-    P = np.full((s.t.size, 2), np.nan)
-    for i, name in enumerate(("P_a1", "P_a2")):
-        if name in log.signals and driven_by == "u":
-            P[:, i] = log.signals[name][rows]
+    rest = np.full((s.t.size, 3), np.nan)
+    for i, name in enumerate(("P_a1", "P_a2", "F")):
+        if name in log.signals and (driven_by == "u" or name == "F"):
+            rest[:, i] = log.signals[name][rows]
     there = (s.t - s.t[0] >= SETTLE / 2).astype(float)
     drive = log.signals.get("P", np.zeros(log.time.size))[rows]
     return {
         "t": s.t - s.t[0],
-        "measured": np.column_stack([x, P]),
+        "measured": np.column_stack([x, rest]),
         "v": s.v,
         "a": s.a,
         "u": s.u,

@@ -13,12 +13,16 @@ ORDER = 4
 
 
 def arx_errors(
-    fit: Course, judged: Course, fresh: Bool[np.ndarray, "lengths runs n"]
+    fit: Course,
+    judged: Course,
+    fresh: Bool[np.ndarray, "lengths runs n"],
+    signal: int = 0,
 ) -> Float[np.ndarray, "lengths"]:
-    """RMS error of the position, m, of an ARX model that is fitted to the runs `fit` by
-    least squares, and simulated through `judged` from every `fresh` tick on; NaN where
-    it does not stay finite.
+    """RMS error of a signal, by its place in `course.SIGNALS`, SI, of an ARX model from
+    the drive that is fitted to the runs `fit` by least squares, and simulated through
+    `judged` from every `fresh` tick on; NaN where it does not stay finite.
     """
+    fit, judged = (c._replace(measured=c.measured[..., signal]) for c in (fit, judged))
     mean, size = _scales(fit)
     rows, wanted = [], []
     for i in range(len(fit.t)):
@@ -39,9 +43,9 @@ def arx_errors(
 
 
 def _scales(course: Course) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of position and drive."""
+    """Mean and standard deviation of the signal and its drive."""
     drive = course.inputs.P if course.inputs.P is not None else course.inputs.u
-    both = [np.asarray(course.measured)[..., 0], np.asarray(drive)]
+    both = [np.asarray(course.measured), np.asarray(drive)]
     size = np.array([np.std(a) for a in both])
     return np.array([np.mean(a) for a in both]), np.where(size > 0, size, 1.0)
 
@@ -49,10 +53,10 @@ def _scales(course: Course) -> tuple[np.ndarray, np.ndarray]:
 def _signals(
     course: Course, i: int, mean: np.ndarray, size: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Position and drive of run `i`, standardised, without what pads it."""
+    """Signal and drive of run `i`, standardised, without what pads it."""
     drive = course.inputs.P if course.inputs.P is not None else course.inputs.u
     end = int(np.flatnonzero(np.asarray(course.there)[i])[-1])
-    x = np.asarray(course.measured)[i, :end, 0]
+    x = np.asarray(course.measured)[i, :end]
     return (x - mean[0]) / size[0], (np.asarray(drive)[i, :end] - mean[1]) / size[1]
 
 

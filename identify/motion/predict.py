@@ -11,10 +11,9 @@ from jaxtyping import Bool, Float
 
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
-from hydrojax.identify.estimation.columns import ParametricRig
 from hydrojax.identify.estimation.known import Free
-from hydrojax.identify.motion.course import Course, course_of, parts_of
-from hydrojax.identify.motion.follow import fit_follow, run_follow
+from hydrojax.identify.motion.course import SIGNALS, Course, course_of, parts_of
+from hydrojax.identify.motion.follow import ParametricMover, fit_follow, run_follow
 from hydrojax.identify.motion.linear import arx_errors
 from hydrojax.identify.preparation.noise import estimate_noise
 from hydrojax.identify.results.outcome import (
@@ -24,15 +23,15 @@ from hydrojax.identify.results.outcome import (
     PredictedMotion,
     Series,
 )
-from hydrojax.parameters import parameter_specs, put
-from hydrojax.plant.load import Inertia
+from hydrojax.logs.log import Log
+from hydrojax.parameters import parameter_specs
 from hydrojax.rigfile.build import build_rig, free_load
 from hydrojax.rigfile.edit import rewrite
 from hydrojax.rigfile.recording import longest, position
 from hydrojax.units import with_command
 
-MASS = "payload_inertia.m"
-"""The parameter that is a moving mass, beside that of [load]."""
+MASSES = ("payload_inertia.m", "load.mass")
+"""The parameters that are moving masses, of the plant and of [load]."""
 
 LENGTHS = (0.25, 1.0, 5.0)
 """Seconds of the runs beside those of whole logs."""
@@ -43,17 +42,15 @@ CALLS = 3
 
 @dataclass(frozen=True)
 class _Mover:
-    """A rig that moves its load: the model, its load, and in how many parts a tick is
-    run.
-    """
+    """A rig that moves its load, and in how many parts a tick is run."""
 
-    model: ParametricRig
-    load: Inertia
+    model: ParametricMover
     parts: int
 
     def mass(self, values: Mapping[str, float]) -> float:
         """What moves, kg."""
-        return float(self.load.mass) + values.get(MASS, 0.0)
+        own = dict(zip(self.model.names, self.vector(values), strict=True))
+        return float(sum(own.get(name, 0.0) for name in MASSES))
 
     def vector(self, values: Mapping[str, float]) -> Float[np.ndarray, "n"]:
         """Values in the model's order."""
@@ -65,14 +62,14 @@ class _Mover:
         values: Mapping[str, float],
         course: Course,
         fresh: Bool[np.ndarray, "lengths runs n"],
-    ) -> Float[np.ndarray, "lengths runs n 3"]:
-        """Position and pressures less what was measured, SI; NaN where there is no
-        mass to move.
+    ) -> Float[np.ndarray, "lengths runs n 4"]:
+        """Position, pressures and force less what was measured, SI; NaN where there is
+        no mass to move, and of what was not measured.
         """
         if self.mass(values) <= 0:
-            return np.full((*fresh.shape, 3), np.nan)
+            return np.full((*fresh.shape, len(SIGNALS)), np.nan)
         at = jnp.asarray(self.vector(values))
-        seen = run_follow(self.model, at, self.load, course, jnp.asarray(fresh))
+        seen = run_follow(self.model, at, course, jnp.asarray(fresh))
         return np.asarray(seen) - course.measured
 
 
@@ -111,38 +108,40 @@ def predict_motion(
     """
     if not case.spec.predicts:
         return None
+    of_load = free_of_load(case.spec)
+    found = dict(found) | {name: f.start for name, f in of_load.items()}
     mover = _mover(case, found, added)
     if mover is None:
         return None
     progress("predict the motion")
     fit = course_of(case, case.fit_logs, mover.parts)
     check = course_of(case, case.check_logs, mover.parts)
-    best = _refined(mover, found, free, fit)
+    every = {n: f for n, f in (free | of_load).items() if n in mover.model.names}
+    best = _refined(mover, found, every, fit)
     ends = {"windows": found, "runs": best}
     chosen = tuple(ends)[_better(mover, list(ends.values()), check)]
     judged, logs = check, case.check_logs
     if case.test_logs:
         judged, logs = course_of(case, case.test_logs, mover.parts), case.test_logs
-    horizons = _horizons(mover, (declared, ends[chosen]), fit, judged)
-    first = next(iter(horizons.values()))
-    noise = float(np.median([_noise(case, log) for log in case.fit_logs]))
-    none = float("nan")
-    errors = ChannelErrors(
-        "m",
-        noise,
-        none if first.before is None else first.before,
-        none if first.after is None else first.after,
-        horizons=horizons,
-    )
-    moved = {n: float(ends[chosen][n]) for n in free if n in mover.model.names}
+    pair = (declared, ends[chosen])
+    whole = _whole(mover, found, judged)
+    moved = {n: float(ends[chosen][n]) for n in every}
     return PredictedMotion(
-        errors,
-        _finite(_whole(mover, found, judged)),
+        _channels(case, mover, pair, fit, judged),
+        {name: _finite(error) for name, error in whole.items()},
         chosen,
         _shown(mover, moved, found, case.spec.command_unit),
-        _series(mover, (declared, ends[chosen]), judged, [log.name for log in logs]),
+        _series(mover, pair, judged, [log.name for log in logs]),
         rewrite(case.spec, dict(found) | moved, added),
     )
+
+
+def free_of_load(spec: RigFile) -> dict[str, Free]:
+    """What a rig file leaves to be found of the load that moves."""
+    return {
+        f"load.{name}": Free(spec.output_load[name], *ends)
+        for name, ends in spec.load_ranges.items()
+    }
 
 
 def _shown(
@@ -152,7 +151,7 @@ def _shown(
     command_unit: str,
 ) -> dict[str, MotionValue]:
     """Values as reports show them: by the outside name of those that have one."""
-    specs, out = parameter_specs(mover.model.rig), {}
+    specs, out = parameter_specs(mover.model.tree), {}
     for name, value in moved.items():
         spec, own, shown = specs[name], (value, float(found[name])), name
         unit = spec.unit
@@ -173,13 +172,13 @@ def _mover(
     case: Case, found: Mapping[str, float], added: Sequence[str]
 ) -> _Mover | None:
     """The rig that moves its load; None where it has no mass."""
-    model, load = ParametricRig.of(build_rig(case.spec, added)), free_load(case.spec)
-    mover = _Mover(model, load, 1)
+    model = ParametricMover.of(build_rig(case.spec, added), free_load(case.spec))
+    mover = _Mover(model, 1)
     if mover.mass(found) <= 0:
         return None
-    rig = put(model.rig, model.names, mover.vector(found))
+    moving = model.at(jnp.asarray(mover.vector(found)))
     h = float(np.median(np.concatenate([np.diff(log.time) for log in case.fit_logs])))
-    return _Mover(model, load, parts_of(rig, load, mover.mass(found), h))
+    return _Mover(model, parts_of(moving.rig, moving.load, mover.mass(found), h))
 
 
 def _refined(
@@ -194,11 +193,10 @@ def _refined(
     A long run has many minima where an oscillation slips by a period; a short one is
     mostly what it begins with, which is measured.
     """
-    names = [n for n in free if n in mover.model.names]
-    if not names:
+    if not free:
         return dict(found)
     every = _fresh(course)
-    moved = _Moved.of(mover, {n: free[n] for n in names}, course)
+    moved = _Moved.of(mover, free, course)
     steps = dict(found)
     for fresh in every.values():
         steps = moved.fitted(steps, fresh)
@@ -207,8 +205,8 @@ def _refined(
 
 
 def _better(mover: _Mover, tried: Sequence[Mapping[str, float]], course: Course) -> int:
-    """Which of several values is best for whole logs: position and pressures, each over
-    its own error by the first of them.
+    """Which of several values is best for whole logs: position, pressures and force,
+    each over its own error by the first of them.
     """
     fresh = np.asarray(course.settling)[None]
     there = np.asarray(course.there) > 0
@@ -252,7 +250,6 @@ class _Moved:
                 self.mover.model,
                 jnp.asarray(at),
                 jnp.asarray(directions),
-                self.mover.load,
                 self.course,
                 jnp.asarray(fresh),
                 jnp.asarray(_sizes(off, self.course)),
@@ -270,8 +267,8 @@ class _Moved:
         return values
 
 
-def _sizes(off: Float[np.ndarray, "runs n 3"], course: Course) -> np.ndarray:
-    """What errors are counted in, [3], SI: a channel's own; inf where none is known."""
+def _sizes(off: Float[np.ndarray, "runs n 4"], course: Course) -> np.ndarray:
+    """What errors are counted in, [4], SI: a channel's own; inf where none is known."""
     there = np.asarray(course.there) > 0
     with np.errstate(over="ignore", invalid="ignore"):
         own = np.sqrt(np.mean(off[there] ** 2, axis=0))
@@ -280,11 +277,19 @@ def _sizes(off: Float[np.ndarray, "runs n 3"], course: Course) -> np.ndarray:
     return np.where(np.isfinite(spread) & (size > 0), size, np.inf)
 
 
-def _whole(mover: _Mover, values: Mapping[str, float], course: Course) -> float:
-    """RMS error of the position in runs through whole logs, m; NaN if not finite."""
+def _whole(
+    mover: _Mover, values: Mapping[str, float], course: Course
+) -> dict[str, float]:
+    """RMS errors in runs through whole logs by signal, SI; NaN if not finite."""
     fresh = np.asarray(course.settling)[None]
-    off = mover.run(values, course, fresh)[0, ..., 0]
-    return _rms(off[np.asarray(course.there) > 0])
+    off = mover.run(values, course, fresh)[0][np.asarray(course.there) > 0]
+    return {name: _rms(off[:, i]) for name, i in _seen(course).items()}
+
+
+def _seen(course: Course) -> dict[str, int]:
+    """The signals that were measured, and their places."""
+    there = np.isfinite(np.asarray(course.measured)).any(axis=(0, 1))
+    return {name: i for i, name in enumerate(SIGNALS) if there[i]}
 
 
 def _rms(off: np.ndarray) -> float:
@@ -310,34 +315,49 @@ def _fresh(course: Course) -> dict[str, Bool[np.ndarray, "runs n"]]:
     return out | {"free": settling}
 
 
-def _horizons(
+def _channels(
+    case: Case,
     mover: _Mover,
     ends: tuple[Mapping[str, float], Mapping[str, float]],
     fit: Course,
     course: Course,
-) -> dict[str, Horizon]:
-    """Errors of the position by length of the run, with the values `ends`."""
+) -> dict[str, ChannelErrors]:
+    """Errors by signal and length of the run, with the values `ends`; an ARX model from
+    the drive beside them.
+    """
     fresh = _fresh(course)
     stack = np.stack(list(fresh.values()))
     there = np.asarray(course.there) > 0
-    x = np.asarray(course.measured)[..., 0]
-    runs = [mover.run(values, course, stack)[..., 0] for values in ends]
-    linear = arx_errors(fit, course, stack)
+    runs = [mover.run(values, course, stack) for values in ends]
     out = {}
-    for i, (name, begins) in enumerate(fresh.items()):
-        last = np.where(begins, np.arange(x.shape[1]), 0)
-        since = np.maximum.accumulate(last, axis=1)
-        held = x - np.take_along_axis(x, since, axis=1)
-        before, after = (_finite(_rms(run[i][there])) for run in runs)
-        out[name] = Horizon(before, after, _rms(held[there]), _finite(float(linear[i])))
+    for signal, i in _seen(course).items():
+        y = np.asarray(course.measured)[..., i]
+        linear = arx_errors(fit, course, stack, i)
+        horizons = {}
+        for k, (name, begins) in enumerate(fresh.items()):
+            last = np.where(begins, np.arange(y.shape[1]), 0)
+            since = np.maximum.accumulate(last, axis=1)
+            held = y - np.take_along_axis(y, since, axis=1)
+            before, after = (_finite(_rms(run[k, ..., i][there])) for run in runs)
+            horizons[name] = Horizon(
+                before, after, _rms(held[there]), _finite(float(linear[k]))
+            )
+        first = next(iter(horizons.values()))
+        out[signal] = ChannelErrors(
+            SIGNALS[signal],
+            float(np.median([_noise(case, log, signal) for log in case.fit_logs])),
+            *(float("nan") if e is None else e for e in (first.before, first.after)),
+            horizons=horizons,
+        )
     return out
 
 
-def _noise(case: Case, log) -> float:
-    """Noise of a log's position, m."""
-    if "x" in case.spec.sensors:
-        return case.spec.sensors["x"]
-    return estimate_noise(position(log, case.spec)[slice(*longest(log))])
+def _noise(case: Case, log: Log, signal: str) -> float:
+    """Noise of a log's signal, SI."""
+    if signal in case.spec.sensors:
+        return case.spec.sensors[signal]
+    own = position(log, case.spec) if signal == "x" else log.signals[signal]
+    return estimate_noise(own[slice(*longest(log))])
 
 
 def _series(
@@ -346,14 +366,16 @@ def _series(
     course: Course,
     names: Sequence[str],
 ) -> tuple[Series, ...]:
-    """Measured position and errors of the runs through whole logs, log by log."""
+    """Measured signals and errors of the runs through whole logs, log by log."""
     fresh = np.asarray(course.settling)[None]
-    runs = [-mover.run(values, course, fresh)[0, ..., 0] for values in ends]
+    runs = [-mover.run(values, course, fresh)[0] for values in ends]
     out = []
     for i, name in enumerate(names):
         own = np.asarray(course.there)[i] > 0
-        x = np.asarray(course.measured)[i, own, 0]
-        before, after = ({"x": run[i, own]} for run in runs)
+        measured, before, after = (
+            {signal: y[i, own, k] for signal, k in _seen(course).items()}
+            for y in (np.asarray(course.measured), *runs)
+        )
         t = np.asarray(course.t)[i, own]
-        out.append(Series(name, t, {"x": x}, before, after, {}))
+        out.append(Series(name, t, measured, before, after, {}))
     return tuple(out)

@@ -231,14 +231,15 @@ class MotionValue:
 
 @dataclass(frozen=True)
 class PredictedMotion:
-    """The position in runs in which the drive moves the load, with nothing of the
-    log's motion but where a run begins; SI.
+    """What the logs hold in runs in which the drive moves the load, with nothing of
+    their motion but where a run begins; SI.
 
     Attributes:
-        errors: of the position; `before` and `after` over runs of 0.25 s. Where a run
-            does not stay finite, or nothing has a mass, there is none.
-        windows: RMS error over whole logs with the parameters that were found from
-            pressures and force, m; None where that is not finite.
+        channels: errors of the position `x`, and of what was measured besides;
+            `before` and `after` over runs of 0.25 s. Where a run does not stay finite,
+            or nothing has a mass, there is none.
+        windows: RMS errors over whole logs with the parameters that were found from
+            pressures and force, by channel; None where that is not finite.
         fitted_to: what `values` are best for: "runs" through whole logs, or "windows"
             where these predict the validation logs at least as well.
         values: the parameters that were free, by name.
@@ -246,8 +247,8 @@ class PredictedMotion:
         rig_file: the rig file with these values.
     """
 
-    errors: ChannelErrors
-    windows: float | None
+    channels: Mapping[str, ChannelErrors]
+    windows: Mapping[str, float | None]
     fitted_to: str
     values: dict[str, MotionValue]
     series: tuple[Series, ...]
@@ -342,7 +343,7 @@ class Outcome:
     @property
     def every_channel(self) -> dict[str, ChannelErrors]:
         """The channels that were compared, and the motion where it was predicted."""
-        return self.channels | ({"x": self.motion.errors} if self.motion else {})
+        return self.channels | ({"x": self.motion.channels["x"]} if self.motion else {})
 
     @property
     def explained_share(self) -> float:

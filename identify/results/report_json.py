@@ -114,7 +114,12 @@ def _channel(c: ChannelErrors) -> dict[str, Any]:
 
 def _motion(m: PredictedMotion) -> dict[str, Any]:
     values = {name: asdict(p) for name, p in m.values.items()}
-    return {"fitted_to": m.fitted_to, "windows": m.windows, "values": values}
+    return {
+        "fitted_to": m.fitted_to,
+        "windows": m.windows,
+        "channels": {name: _channel(c) for name, c in m.channels.items()},
+        "values": values,
+    }
 
 
 def _long_runs(r: LongRuns) -> dict[str, Any]:

@@ -89,15 +89,35 @@ def verdict_sentence(
 
 
 def motion_sentence(motion: PredictedMotion) -> str:
-    """How far the position is off over whole logs."""
-    whole = motion.errors.horizons["free"]
-    if whole.after is None:
+    """How far the position, and the force where it was measured, are off over whole
+    logs.
+    """
+    off = [
+        _off(motion, name, word)
+        for name, word in (("x", "position"), ("F", "force"))
+        if name in motion.channels
+    ]
+    if None in off:
         return "Motion: the run through whole logs does not stay finite."
-    after, held = (quantity_text(v, "m", figures=3) for v in (whole.after, whole.held))
+    text = " and ".join(text for text in off if text)
+    own = motion.windows["x"]
+    if motion.fitted_to == "runs" and own is not None:
+        shown = quantity_text(own, "m", figures=3)
+        text += f"; with the values found from pressures and force, the position by {shown}"
+    return f"Motion: {text}."
+
+
+def _off(motion: PredictedMotion, name: str, word: str) -> str | None:
+    """How far one signal is off; None where its run does not stay finite."""
+    errors = motion.channels[name]
+    whole = errors.horizons["free"]
+    if whole.after is None:
+        return None
+    after, held = (
+        quantity_text(v, errors.unit, figures=3) for v in (whole.after, whole.held)
+    )
     skill = "" if whole.skill is None else f", skill {whole.skill:.4g}"
-    text = f"Motion: the position is off by {after} RMS over whole logs"
-    text += f" (held at its start, {held}{skill})"
-    if motion.fitted_to == "runs" and motion.windows is not None:
-        own = quantity_text(motion.windows, "m", figures=3)
-        text += f"; with the values found from pressures and force, by {own}"
-    return text + "."
+    return (
+        f"the {word} is off by {after} RMS over whole logs (held at its start, "
+        f"{held}{skill})"
+    )

@@ -15,9 +15,8 @@ from scipy.signal import lfilter
 import hydrojax as hj
 from hydrojax.errors import InputError
 from hydrojax.identify.case import open_case
-from hydrojax.identify.estimation.columns import ParametricRig
 from hydrojax.identify.motion.course import course_of
-from hydrojax.identify.motion.follow import follow
+from hydrojax.identify.motion.follow import MovingRig, follow
 from hydrojax.identify.motion.linear import arx_errors
 from hydrojax.parameters import put
 from hydrojax.rigfile.build import build_rig, free_load
@@ -148,10 +147,10 @@ def moved_axis():
 @pytest.mark.slow
 def test_an_axis_is_predicted_to_its_noise(moved_axis):
     motion = moved_axis.outcome.motion
-    whole = motion.errors.horizons["free"]
+    whole = motion.channels["x"].horizons["free"]
     assert whole.before / whole.after > 20  # it began 40 % off
     assert whole.skill > 0.999999
-    assert list(motion.errors.horizons) == ["0.25", "1", "free"]
+    assert list(motion.channels["x"].horizons) == ["0.25", "1", "free"]
     assert motion.values["payload_inertia.m"].value == pytest.approx(95, rel=0.005)
     assert motion.values["viscous_friction.b"].value == pytest.approx(210, rel=0.005)
 
@@ -185,7 +184,7 @@ def test_a_cylinder_is_predicted_from_its_command_alone():
     rig = hj.RigFile.from_text(CYLINDER)
     found = hj.fit(rig, [cylinder(1)], validate=[cylinder(2)])
     motion = found.outcome.motion
-    whole = motion.errors.horizons["free"]
+    whole = motion.channels["x"].horizons["free"]
     assert whole.skill is not None and whole.skill > 0.999
     # The damper is 0.02 of critical: it shows in how an oscillation dies away alone.
     wide = {"viscous_friction.b": 0.5, "payload_inertia.m": 0.05}
@@ -203,11 +202,11 @@ def test_a_run_is_that_of_scipy():
     log = cylinder(3, 2.0)
     text = CYLINDER
     case = open_case(hj.RigFile.from_text(text), [log])
-    model = ParametricRig.of(build_rig(case.spec))
-    rig = put(model.rig, tuple(TRUE), jnp.array(list(TRUE.values())))
+    moving = MovingRig(build_rig(case.spec), free_load(case.spec))
+    moving = put(moving, tuple(TRUE), jnp.array(list(TRUE.values())))
     course = course_of(case, case.fit_logs, 4)
     fresh = jnp.asarray(course.settling)
-    seen = np.asarray(jax.jit(follow)(rig, free_load(case.spec), course, fresh))
+    seen = np.asarray(jax.jit(follow)(moving, course, fresh))
     there = np.asarray(course.there)[0] > 0
     off = (seen - course.measured)[0, there]
     assert np.sqrt(np.mean(off[:, 0] ** 2)) < 0.01 * np.ptp(log["x [m]"])
