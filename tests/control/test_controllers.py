@@ -118,15 +118,18 @@ def test_it_is_swept(file):
 
 
 @pytest.mark.slow
-def test_it_is_tuned(file):
-    """Gains are found; without feedforward of the speed none lets the force follow
-    while the joint moves, so that none is proposed, and that is said.
+def test_it_is_tuned(file, scenario):
+    """Gains are found that let the force follow while the joint moves, though the law
+    knows nothing of its speed: the search in runs finds the fast integral that does.
     """
     found = tune_gains(file, plants=1, starts=1)
-    assert set(found.gains) == {"k", "controller.beta"}
-    assert not np.allclose(found.optimum.gains, list(found.gains.values()), rtol=0.1)
-    assert len(found.obstacles) == 1
-    assert "does not follow (moving) on 1 of 1 plants" in found.obstacles[0]
+    assert set(found.gains) == {"k", "controller.beta"} and not found.obstacles
+    off = []
+    own = {name.removeprefix("controller."): v for name, v in found.gains.items()}
+    for given in ({}, own):
+        run = simulate_loop(build_loop(file, None, given), scenario)
+        off.append(np.sqrt(np.mean((run.F_d - run["true_F"])[500:] ** 2)))
+    assert off[1] < 0.2 * off[0]
     with pytest.raises(InputError, match="invalid gain 'v': expected one of k, contr"):
         tune_gains(file, free=("v",), plants=1)
 
