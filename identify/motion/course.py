@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -50,6 +51,11 @@ class Course(NamedTuple):
     def settling(self) -> Float[np.ndarray, "runs n"]:
         """Where memories settle: ahead of the first tick that is compared."""
         return np.cumsum(np.asarray(self.there), axis=1) <= 1.0
+
+    def head(self, ticks: int) -> Course:
+        """The first `ticks` of every run."""
+        inputs = jax.tree.map(lambda a: a[:, : ticks - 1], self.inputs)
+        return Course(inputs, *(a[:, :ticks] for a in self[1:]))
 
 
 def course_of(case: Case, logs: Sequence[Log], parts: int) -> Course:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -23,6 +24,7 @@ from hydrojax.identify.results.outcome import (
     PredictedMotion,
     Series,
 )
+from hydrojax.jax_setup import cores
 from hydrojax.logs.log import Log
 from hydrojax.parameters import parameter_specs
 from hydrojax.rigfile.build import build_rig, free_load
@@ -38,6 +40,16 @@ LENGTHS = (0.25, 1.0, 5.0)
 
 CALLS = 3
 """Fits of 20 steps at one length at most."""
+
+HEAD = 4000
+"""Ticks of each log on which starts are ranked: time against information."""
+
+REFINED = 2
+"""Of these, the best that are fitted to whole logs."""
+
+START_SPREAD = 0.7
+"""Standard deviation of the logarithm of a start about the rig file's: what a user
+knows of a mass that bends is its order of magnitude."""
 
 
 @dataclass(frozen=True)
@@ -117,9 +129,12 @@ def predict_motion(
     fit = course_of(case, case.fit_logs, mover.parts)
     check = course_of(case, case.check_logs, mover.parts)
     every = {n: f for n, f in (free | of_load).items() if n in mover.model.names}
-    best = _refined(mover, found, every, fit)
-    ends = {"windows": found, "runs": best}
-    chosen = tuple(ends)[_better(mover, list(ends.values()), check)]
+    starts = [found]
+    if of_load:
+        begun = _starts(found, every, case.criteria.motion_starts)
+        starts += _refined(mover, begun, every, fit.head(HEAD))[:REFINED]
+    ends = {"windows": found, "runs": _refined(mover, starts, every, fit)[0]}
+    chosen = tuple(ends)[int(np.argmin(_costs(mover, list(ends.values()), check)))]
     judged, logs = check, case.check_logs
     if case.test_logs:
         judged, logs = course_of(case, case.test_logs, mover.parts), case.test_logs
@@ -181,40 +196,69 @@ def _mover(
     return _Mover(model, parts_of(moving.rig, moving.load, mover.mass(found), h))
 
 
+def _starts(
+    found: Mapping[str, float], free: Mapping[str, Free], count: int, seed: int = 0
+) -> list[dict[str, float]]:
+    """Starts of a load of which no window tells anything, and of all that was found
+    without it: those of the rig file, and `count` about them, most within a factor of 2.
+    """
+    rng = np.random.default_rng(seed)
+    spread = np.exp(START_SPREAD * rng.standard_normal((count, len(free))))
+    spread = np.concatenate([np.ones((1, len(free))), spread])
+    return [
+        dict(found)
+        | {
+            name: float(np.clip(f.start * factor, f.lower, f.upper))
+            for (name, f), factor in zip(free.items(), row, strict=True)
+        }
+        for row in spread
+    ]
+
+
 def _refined(
     mover: _Mover,
-    found: Mapping[str, float],
+    starts: Sequence[Mapping[str, float]],
     free: Mapping[str, Free],
     course: Course,
-) -> dict[str, float]:
-    """The values that are best for runs through whole logs, begun from `found`.
+) -> list[dict[str, float]]:
+    """The starts and the values found from them for runs through the course, the best
+    first.
 
-    Found in two ways, of which the better is taken: at once, and through shorter runs.
-    A long run has many minima where an oscillation slips by a period; a short one is
+    From every start they are found in two ways: at once, and through shorter runs. A
+    long run has many minima where an oscillation slips by a period; a short one is
     mostly what it begins with, which is measured.
     """
     if not free:
-        return dict(found)
+        return [dict(start) for start in starts]
     every = _fresh(course)
     moved = _Moved.of(mover, free, course)
-    steps = dict(found)
-    for fresh in every.values():
-        steps = moved.fitted(steps, fresh)
-    tried = [dict(found), steps, moved.fitted(found, every["free"])]
-    return tried[_better(mover, tried, course)]
+
+    def ends(start: Mapping[str, float]) -> list[dict[str, float]]:
+        steps = dict(start)
+        for fresh in every.values():
+            steps = moved.fitted(steps, fresh)
+        return [steps, moved.fitted(start, every["free"])]
+
+    with ThreadPoolExecutor(cores()) as pool:
+        found = [end for pair in pool.map(ends, starts) for end in pair]
+    tried = [*(dict(start) for start in starts), *found]
+    costs = _costs(mover, tried, course)
+    return [tried[i] for i in np.argsort(costs, kind="stable")]
 
 
-def _better(mover: _Mover, tried: Sequence[Mapping[str, float]], course: Course) -> int:
-    """Which of several values is best for whole logs: position, pressures and force,
-    each over its own error by the first of them.
+def _costs(
+    mover: _Mover, tried: Sequence[Mapping[str, float]], course: Course
+) -> Float[np.ndarray, "tried"]:
+    """Errors through whole logs with several values, of all signals together, each over
+    how much it varies; inf where a run does not stay finite.
     """
     fresh = np.asarray(course.settling)[None]
     there = np.asarray(course.there) > 0
-    off = [mover.run(values, course, fresh)[0] for values in tried]
-    size = _sizes(off[0], course)
+    size = _sizes(course)
     seen = np.isfinite(size)
-    costs = [_rms((o[there] / size)[:, seen]) for o in off]
-    return int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
+    off = (mover.run(values, course, fresh)[0][there] for values in tried)
+    costs = [_rms(o[:, seen] / size[seen]) for o in off]
+    return np.nan_to_num(costs, nan=np.inf)
 
 
 @dataclass(frozen=True)
@@ -245,14 +289,13 @@ class _Moved:
             own = at[self.index]
             lower = np.array([f.lower for f in self.free.values()])
             upper = np.array([f.upper for f in self.free.values()])
-            off = self.mover.run(values, self.course, fresh[None])[0]
             fit = fit_follow(
                 self.mover.model,
                 jnp.asarray(at),
                 jnp.asarray(directions),
                 self.course,
                 jnp.asarray(fresh),
-                jnp.asarray(_sizes(off, self.course)),
+                jnp.asarray(_sizes(self.course)),
                 (
                     jnp.asarray((lower - own) / self.scale),
                     jnp.asarray((upper - own) / self.scale),
@@ -267,14 +310,13 @@ class _Moved:
         return values
 
 
-def _sizes(off: Float[np.ndarray, "runs n 4"], course: Course) -> np.ndarray:
-    """What errors are counted in, [4], SI: a channel's own; inf where none is known."""
+def _sizes(course: Course) -> Float[np.ndarray, "4"]:
+    """What errors are counted in, SI: how much a signal varies; inf where it was not
+    measured. Not its noise: what a model of a machine leaves is mostly not that.
+    """
     there = np.asarray(course.there) > 0
-    with np.errstate(over="ignore", invalid="ignore"):
-        own = np.sqrt(np.mean(off[there] ** 2, axis=0))
     spread = np.std(np.asarray(course.measured)[there], axis=0)
-    size = np.where(np.isfinite(own), np.minimum(own, spread), spread)
-    return np.where(np.isfinite(spread) & (size > 0), size, np.inf)
+    return np.where(np.isfinite(spread) & (spread > 0), spread, np.inf)
 
 
 def _whole(
