@@ -53,7 +53,7 @@ def main(
             continue
         unit = "" if measured.unit == "1" else f", {measured.unit}"
         table = Table(f"{name}: {measured.task}", f"RMS error{unit}", "s")
-        own = OWN[name](data, measured) if ours and name in OWN else None
+        own = OWN[name](data, measured) if ours else None
         if own is not None:
             for i, (row, error) in enumerate(own.rows.items()):
                 seconds = f"{own.seconds:.0f}" if i == 0 else ""
@@ -63,8 +63,6 @@ def main(
         console.print(table)
         if own is not None:
             console.print(own.said)
-        elif ours:
-            console.print("hydrojax: no layout of a rig file says what was measured")
 
 
 def _peers(table: Table, data: Path, measured: Measured) -> None:

@@ -36,8 +36,8 @@ class Course(NamedTuple):
 
     `inputs` drives every tick but the last, [R, N-1, ...]. `measured` [R, N, 4] is
     what `SIGNALS` names, of which `v` and `a` [R, N] are the motion's derivatives; what
-    is not measured is NaN. The first `lead` ticks let memories settle; `there` [R, N] says
-    which ticks are a log's own and come after that.
+    is not measured is NaN. The first `lead` ticks let memories settle; `there` [R, N]
+    says which ticks are a log's own and come after that.
     """
 
     inputs: StepInput

@@ -41,7 +41,7 @@ LENGTHS = (0.25, 1.0, 5.0)
 CALLS = 3
 """Fits of 20 steps at one length at most."""
 
-HEAD = 4000
+HEAD = 2000
 """Ticks of each log on which starts are ranked: time against information."""
 
 REFINED = 2
@@ -131,8 +131,8 @@ def predict_motion(
     every = {n: f for n, f in (free | of_load).items() if n in mover.model.names}
     starts = [found]
     if of_load:
-        begun = _starts(found, every, case.criteria.motion_starts)
-        starts += _refined(mover, begun, every, fit.head(HEAD))[:REFINED]
+        starts += _starts(found, every, case.criteria.motion_starts)
+        starts = _refined(mover, starts, every, fit.head(HEAD))[:REFINED]
     ends = {"windows": found, "runs": _refined(mover, starts, every, fit)[0]}
     chosen = tuple(ends)[int(np.argmin(_costs(mover, list(ends.values()), check)))]
     judged, logs = check, case.check_logs
@@ -200,7 +200,7 @@ def _starts(
     found: Mapping[str, float], free: Mapping[str, Free], count: int, seed: int = 0
 ) -> list[dict[str, float]]:
     """Starts of a load of which no window tells anything, and of all that was found
-    without it: those of the rig file, and `count` about them, most within a factor of 2.
+    without it: the rig file's, and `count` about them, most within a factor of 2.
     """
     rng = np.random.default_rng(seed)
     spread = np.exp(START_SPREAD * rng.standard_normal((count, len(free))))

@@ -103,7 +103,9 @@ def motion_sentence(motion: PredictedMotion) -> str:
     own = motion.windows["x"]
     if motion.fitted_to == "runs" and own is not None:
         shown = quantity_text(own, "m", figures=3)
-        text += f"; with the values found from pressures and force, the position by {shown}"
+        text += (
+            f"; with the values found from pressures and force, the position by {shown}"
+        )
     return f"Motion: {text}."
 
 

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from hydrojax.control import theory
@@ -26,7 +27,14 @@ from hydrojax.control.waveforms import sinusoidal_path
 from hydrojax.effects import EFFECTS
 from hydrojax.paper.records import reference
 from hydrojax.parameters import put
-from hydrojax.plant.load import Driven, EnvironmentMotion, Inertia, PistonMotion
+from hydrojax.plant.load import (
+    Driven,
+    EnvironmentMotion,
+    Inertia,
+    JointedInertia,
+    JointedMotion,
+    PistonMotion,
+)
 from hydrojax.plant.rig import add
 from hydrojax.plant.valve import LAMINAR_CORE
 from hydrojax.rigfile.build import build_loop, effects_of
@@ -283,7 +291,10 @@ def test_the_encoder_matters(truths):
 def carry(load: Inertia, force: Callable, steps: int, h: float, v: float = 0.0):
     """The load's motion [steps] under `force(x, v, a)` of the cylinder."""
     still = EnvironmentMotion(jnp.zeros(3), jnp.asarray(0.0), jnp.asarray(0.0))
-    at, out = PistonMotion(*map(jnp.asarray, (0.0, v, 0.0))), []
+    rest = PistonMotion(*map(jnp.asarray, (0.0, v, 0.0)))
+    if isinstance(load, JointedInertia):
+        rest = JointedMotion(*rest, *jnp.zeros(3))
+    at, out = rest, []
     for _ in range(steps):
         x = load.move(at, still, h)
         at, F = load.advance(at, x, still, h, lambda v, a, x=x: force(x[2], v, a))
@@ -312,6 +323,31 @@ def test_inertia_rings_as_a_mass_on_a_spring():
         assert np.allclose(F, 300.0 - 50.0 * a)
         assert np.allclose(100.0 * a, F - 200.0 * v - 1e5 * x, atol=1e-9)
     assert errors[0] < 1e-5 * 3e-1 and errors[0] / errors[1] > 3.5
+
+
+def test_a_second_mass_is_carried_through_its_joint():
+    """Two masses, a joint that gives, the first held to ground: as the matrix
+    exponential has it, of second order, and what the joint passes on is momentum.
+    """
+    m, m_2, k, c, k_2, c_2, F_0 = 100.0, 60.0, 1e5, 200.0, 4e4, 150.0, 300.0
+    load = JointedInertia(m, k, c, m_2, k_2, c_2)
+    own = m + 50.0  # the mass ahead of the load cell counts
+    A = np.zeros((5, 5))  # x, v, x_2, v_2, 1
+    A[0, 1] = A[2, 3] = 1.0
+    A[1] = np.array([-k - k_2, -c - c_2, k_2, c_2, F_0]) / own
+    A[3] = np.array([k_2, c_2, -k_2, -c_2, 0.0]) / m_2
+    errors = []
+    for n, h in ((240, 2.5e-4), (480, 1.25e-4)):
+        x, v, a, F = carry(load, lambda x, v, a: F_0 - 50.0 * a, n, h)
+        begun = np.array([0.0, -F_0 / own * h / 2, 0.0, 0.0, 1.0])  # as below
+        want = [(expm(A * h * (i + 1)) @ begun)[0] for i in range(n)]
+        errors.append(np.max(np.abs(x - want)))
+        assert np.allclose(F, F_0 - 50.0 * a)
+    assert errors[0] < 1e-5 * np.ptp(x) * 30 and errors[0] / errors[1] > 3.5
+    stiff = JointedInertia(m, k, c, m_2, 1e9, c_2)
+    x, *_ = carry(stiff, lambda x, v, a: F_0, 400, 1e-5)
+    one, *_ = carry(Inertia(m + m_2, k, c), lambda x, v, a: F_0, 400, 1e-5)
+    assert np.max(np.abs(x - one)) < 0.01 * np.ptp(one)
 
 
 def test_driven_follows_the_road():

@@ -144,7 +144,19 @@ def closed_loop(spec, seconds, seed=3):
 # -- toml --
 
 
-@pytest.mark.parametrize("text", [REFERENCE, RICH], ids=["reference", "rich"])
+MOVED = RICH.replace(
+    "[load]",
+    """[load]
+predicts = "x"
+second_mass = "40 kg"
+second_stiffness = { start = "2 kN/mm", range = ["1 kN/mm", "9 kN/mm"] }""",
+)
+"""A load of which something is to be found from the motion."""
+
+
+@pytest.mark.parametrize(
+    "text", [REFERENCE, RICH, MOVED], ids=["reference", "rich", "moved"]
+)
 def test_toml_reads_back_as_the_same_rig(text, tmp_path):
     spec = spec_of(text, tmp_path)
     (tmp_path / "out.toml").write_bytes(one(spec, "toml"))

@@ -20,6 +20,7 @@ from hydrojax.identify.motion.follow import MovingRig, follow
 from hydrojax.identify.motion.linear import arx_errors
 from hydrojax.parameters import put
 from hydrojax.rigfile.build import build_rig, free_load
+from hydrojax.rigfile.sections import LOAD
 
 AREA, LENGTH, P_S, P_R = 1.18e-3, 0.2, 14e6, 0.25e6
 TRUE = {
@@ -82,14 +83,20 @@ def command(seed: int, seconds: float, size: float) -> np.ndarray:
     return np.asarray(lfilter([0.02], [1, -0.98], size * (steps - np.mean(steps))))
 
 
-def cylinder(seed: int, seconds: float = 8.0) -> pd.DataFrame:
-    """A log of two chambers, four edges and a mass that moves free, by LSODA."""
+BOOM = {"mass": 90.0, "damping": 900.0, "second_mass": 70.0,
+        "second_stiffness": 6e4, "second_damping": 300.0}  # fmt: skip
+
+
+def cylinder(seed: int, seconds: float = 8.0, boom: bool = False) -> pd.DataFrame:
+    """A log of two chambers, four edges and a mass that moves free, by Runge and Kutta;
+    or of `BOOM`, with the net pressure force in place of both pressures.
+    """
     u = command(seed, seconds, 3.0)
     t = np.arange(u.size) / 1000
     p = TRUE
 
     def rate(time, y):
-        x, v, P_1, P_2 = y
+        x, v, P_1, P_2, x_2, v_2 = y
         now = u[min(int(time * 1000 + 1e-9), u.size - 1)]
         up, down = max(now, 0.0), max(-now, 0.0)
         q_1 = p["c_p1"] * up * np.sqrt(max(P_S - P_1, 0.0))
@@ -98,24 +105,36 @@ def cylinder(seed: int, seconds: float = 8.0) -> pd.DataFrame:
         q_2 -= p["c_n2"] * up * np.sqrt(max(P_2 - P_R, 0.0))
         V_1, V_2 = AREA * (LENGTH / 2 - x), AREA * (LENGTH / 2 + x)
         force = AREA * (P_2 - P_1) - p["viscous_friction.b"] * v
+        joint, m, m_2 = 0.0, p["payload_inertia.m"], 1.0
+        if boom:
+            m, m_2 = BOOM["mass"], BOOM["second_mass"]
+            joint = BOOM["second_stiffness"] * (x - x_2)
+            joint += BOOM["second_damping"] * (v - v_2)
         return [
             v,
-            force / p["payload_inertia.m"],
+            (force - joint) / m,
             p["beta"] / V_1 * (q_1 + AREA * v),
             p["beta"] / V_2 * (q_2 - AREA * v),
+            v_2,
+            joint / m_2,
         ]
 
-    y = np.empty((u.size, 4))
-    y[0] = 0.0, 0.0, 5e6, 5e6
+    y = np.empty((u.size, 6))
+    y[0] = 0.0, 0.0, 5e6, 5e6, 0.0, 0.0
     for k in range(u.size - 1):  # the command jumps at every tick
         span = (t[k], t[k + 1] - 1e-9)
-        run = solve_ivp(rate, span, y[k], "RK45", rtol=1e-7, atol=[1e-9, 1e-7, 1, 1])
+        run = solve_ivp(rate, span, y[k], "RK45", rtol=1e-7,
+                        atol=[1e-9, 1e-7, 1, 1, 1e-9, 1e-7])  # fmt: skip
         y[k + 1] = run.y[:, -1]
     rng = np.random.default_rng(100 + seed)
     noise = rng.standard_normal((u.size, 3)) * [1e-6, 9e3, 9e3]
     x, P_1, P_2 = (y[:, [0, 2, 3]] + noise).T
-    columns = {"time [s]": t, "u [V]": u, "x [m]": x, "P_a1 [Pa]": P_1}
-    return pd.DataFrame(columns | {"P_a2 [Pa]": P_2, "P_s [Pa]": P_S, "P_r [Pa]": P_R})
+    columns = {"time [s]": t, "u [V]": u, "x [m]": x, "P_s [Pa]": P_S, "P_r [Pa]": P_R}
+    if boom:
+        F = AREA * (y[:, 3] - y[:, 2]) + rng.standard_normal(u.size)
+        return pd.DataFrame(columns | {"F [N]": F})
+    columns["P_a1 [Pa]"] = P_1
+    return pd.DataFrame(columns | {"P_a2 [Pa]": P_2})
 
 
 def axis(seed: int, m: float = 95.0, b: float = 210.0) -> pd.DataFrame:
@@ -194,6 +213,36 @@ def test_a_cylinder_is_predicted_from_its_command_alone():
     # The force of a free axis is judged in a band that the oscillation is above.
     windows = found.outcome.parameters["payload_inertia.m"].value
     assert abs(windows / 160 - 1) > 0.2
+
+
+@pytest.mark.slow
+def test_a_boom_that_bends_is_found_from_a_net_pressure(tmp_path):
+    """A load of two masses behind an elastic joint, none of which is known: its own
+    values, and both signals through a log that took no part.
+    """
+    text = CYLINDER[: CYLINDER.index("[effects")].replace('F = "0 N"\n', "")
+    ranges = "".join(
+        f'{key} = {{ start = "{0.5 * v} {LOAD[key]}", '
+        f'range = ["{0.05 * v} {LOAD[key]}", "{20 * v} {LOAD[key]}"] }}\n'
+        for key, v in BOOM.items()
+    )
+    rig = hj.RigFile.from_text(text.replace("predicts", ranges + "predicts"))
+    logs = [cylinder(i, 6.0, boom=True) for i in (1, 2)]
+    found = hj.fit(rig, logs[:1], validate=logs[1:])
+    motion = found.outcome.motion
+    assert list(motion.channels) == ["x", "F"]
+    for channel in motion.channels.values():
+        assert channel.horizons["free"].skill > 0.99
+    assert "and the force is off by" in found.outcome.sentence
+    for name, true in BOOM.items():
+        assert motion.values[f"load.{name}"].value == pytest.approx(true, rel=0.1)
+    found.save(tmp_path)
+    again = hj.RigFile.load(tmp_path / "rig_motion.toml")
+    own = motion.values["load.second_mass"].value
+    assert again.output_load["second_mass"] == pytest.approx(own, rel=1e-5)
+    report = json.loads((tmp_path / "report.json").read_text())
+    free = report["motion"]["channels"]["F"]["horizons"]["free"]
+    assert free["after"] == motion.channels["F"].horizons["free"].after
 
 
 @pytest.mark.slow

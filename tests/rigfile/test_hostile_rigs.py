@@ -27,12 +27,23 @@ def refusal(path: Path, *words: str) -> str:
     return line
 
 
+RANGED = '{ start = "5 kg", range = ["1 kg", "9 kg"] }'
+
+
 @pytest.mark.parametrize(
     "lines, words",
     [
         ('[load]\nmass = "-5 kg"\n', ("[load] mass", "above 0")),
         ('[load]\nmass = "5 kg"\ndamping = "-1 N*s/m"\n', ("[load] damping",)),
         ('[load]\nmass = "5 kg"\nstiffness = "-1 N/m"\n', ("[load] stiffness",)),
+        ('[load]\nmass = "5 kg"\nsecond_mass = "1 kg"\n', ("needs second_stiffness",)),
+        ('[load]\nsecond_stiffness = "1 N/m"\n', ("needs second_mass",)),
+        (f"[load]\nmass = {RANGED}\n", ("mass has a range", 'add predicts = "x"')),
+        (f"[load]\nF = {RANGED}\n", ("[load] F is known",)),
+        (
+            f'[load]\npredicts = "x"\nmass = {RANGED.replace("1 kg", "0 kg")}\n',
+            ("mass range must be above 0",),
+        ),
         ('[supply]\nP_r = "-1 Pa"\n', ("[supply] P_r", "at least 0")),
         ('[supply]\nP_s = "-5 Pa"\nP_r = "-9 Pa"\n', ("[supply] P_s",)),
     ],
