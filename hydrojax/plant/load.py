@@ -222,7 +222,7 @@ class Inertia(_Moving):
 
     def begin(
         self, environment: EnvironmentMotion, h: Float[Array, "*batch"], force: Force
-    ) -> PistonMotion:
+    ) -> Any:
         """At rest where the spring is slack, and the acceleration that follows."""
         rest = jnp.zeros_like(h)
         start = force(rest, rest)
@@ -244,12 +244,12 @@ class Inertia(_Moving):
 
     def advance(
         self,
-        at: PistonMotion,
+        at: Any,
         x: Float[Array, "*batch 3"],
         environment: EnvironmentMotion,
         h: Float[Array, "*batch"],
         force: Force,
-    ) -> tuple[PistonMotion, Float[Array, "*batch"]]:
+    ) -> tuple[Any, Float[Array, "*batch"]]:
         """Motion at the part's end, and the force there, N."""
         return self._answer(at, x, environment, h, force, 0.0, 0.0)
 
@@ -290,7 +290,8 @@ class JointedInertia(Inertia):
     def begin(self, environment, h, force):
         """As an inertia, the joint slack and the second mass at rest."""
         rest = jnp.zeros_like(h)
-        return JointedMotion(*super().begin(environment, h, force), rest, rest, rest)
+        x, v, a = super().begin(environment, h, force)
+        return JointedMotion(x, v, a, rest, rest, rest)
 
     def advance(self, at, x, environment, h, force):
         """Motion at the part's end, and the force there, N."""
@@ -300,9 +301,9 @@ class JointedInertia(Inertia):
         # What the joint holds if nothing accelerates, and how that grows with a.
         still = self.second_stiffness * bent + self.second_damping * (half - second)
         share = self.second_mass / (self.second_mass + lag)
-        motion, F = self._answer(
+        (x, v, a), F = self._answer(
             at, x, environment, h, force, share * still, share * lag
         )
-        second_a = (still + lag * motion.a) / (self.second_mass + lag)
+        second_a = (still + lag * a) / (self.second_mass + lag)
         second = second + h / 2 * second_a
-        return JointedMotion(*motion, bent, second, second_a), F
+        return JointedMotion(x, v, a, bent, second, second_a), F

@@ -56,9 +56,6 @@ class Criteria:
     near_best: float = 0.9
     """Gain over the best candidate's from which more than `tries` are refitted, 1.
     `benchmarks.trace`."""
-    motion_starts: int = 24
-    """Starts about the rig file's of a motion's fit whose load is to be found, count:
-    of the robot arm's in `benchmarks.measured` one to three end in the best minimum."""
     far_starts: int = 2
     """Starts far from zero from which an effect is fitted, count: the deepest minima of
     its scan. Time against a wrong minimum; `benchmarks.trace --sizes`."""
