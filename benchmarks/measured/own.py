@@ -140,7 +140,8 @@ def arm(data: Path, measured: Measured) -> Own:
     motions, costs = [], []
     for supply in SUPPLIES:
         rig = hj.RigFile.from_text(ARM.replace("SUPPLY", supply))
-        found = hj.fit(rig, [table[: fit.t.size]], validate=[table])
+        half = table[: fit.t.size]
+        found = hj.fit(rig, [half], test=[table])
         motion = found.outcome.motion
         if motion is None:
             raise RuntimeError("the arm has no motion to predict")

@@ -128,24 +128,28 @@ def fit_follow(
     course: Course,
     fresh: Bool[Array, "runs n"],
     size: Float[Array, "4"],
+    prior: tuple[Float[Array, "k"], Float[Array, "k"]],
     box: tuple[Float[Array, "k"], Float[Array, "k"]],
 ) -> Fit:
     """The best fit from `values` along `directions`, in their units; compiled.
 
     `size` [4] are what errors are counted in, SI; inf for what is not compared.
+    `prior` [k] are the values known beforehand, in units of the directions, and what an
+    error of one such unit counts.
     """
-    gram = partial(_gram, mover, values, directions, course, fresh, size)
+    gram = partial(_gram, mover, values, directions, course, fresh, size, prior)
     return minimise(gram, jnp.zeros(len(directions)), *box)
 
 
-def _gram(mover, values, directions, course, fresh, size, at):
+def _gram(mover, values, directions, course, fresh, size, prior, at):
     """The Gram matrix of Jacobian and errors, both over `size`."""
 
     def errors(at: Float[Array, "k"]) -> Float[Array, "m"]:
         moving = mover.at(values + at @ directions)
         off = (follow(moving, course, fresh) - course.measured) / size
         compared = (course.there > 0)[..., None] & jnp.isfinite(course.measured / size)
-        return jnp.where(compared, off, 0.0).ravel()
+        known, weight = prior
+        return jnp.append(jnp.where(compared, off, 0.0), weight * (at - known))
 
     def along(direction: Float[Array, "k"]) -> tuple:
         return jax.jvp(errors, (at,), (direction,))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from hydrojax.identify.estimation.known import Free
 from hydrojax.identify.motion.course import Course
@@ -131,6 +131,7 @@ class _Moved:
                 self.course,
                 jnp.asarray(fresh),
                 jnp.asarray(_sizes(self.course)),
+                self._prior(values),
                 (
                     jnp.asarray((lower - own) / self.scale),
                     jnp.asarray((upper - own) / self.scale),
@@ -143,6 +144,21 @@ class _Moved:
             if bool(fit.converged):
                 break
         return values
+
+    def _prior(self, values: Values) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
+        """What is known beforehand, in units of the scales from `values`, and what an
+        error of one such unit counts. A second of a log counts as one reading, with the
+        error that is left: what a model leaves of a run is correlated.
+        """
+        free = list(self.free.values())
+        known = np.array([f.start if f.prior else 0.0 for f in free])
+        spread = np.array([f.prior or np.inf for f in free])
+        (left,) = _costs(self.mover, [values], self.course, self.course.settling)
+        ticks = np.sum(np.asarray(self.course.there) > 0)
+        step = np.median(np.diff(np.asarray(self.course.t), axis=1))
+        weight = min(left, 1.0) * np.sqrt(ticks / max(ticks * step, 1.0))
+        off = known - np.array([values[name] for name in self.free])
+        return jnp.asarray(off / self.scale), jnp.asarray(weight * self.scale / spread)
 
 
 def _sizes(course: Course) -> Float[np.ndarray, "4"]:
