@@ -122,6 +122,8 @@ class _Moved:
         for _ in range(CALLS):
             at = self.mover.vector(values)
             own = at[self.index]
+            # In units of what is left, so that a fit ends where it gains no more of it.
+            (left,) = _costs(self.mover, [values], self.course, self.course.settling)
             lower = np.array([f.lower for f in self.free.values()])
             upper = np.array([f.upper for f in self.free.values()])
             fit = fit_follow(
@@ -130,7 +132,7 @@ class _Moved:
                 jnp.asarray(directions),
                 self.course,
                 jnp.asarray(fresh),
-                jnp.asarray(_sizes(self.course)),
+                jnp.asarray(min(left, 1.0) * _sizes(self.course)),
                 self._prior(values),
                 (
                     jnp.asarray((lower - own) / self.scale),
@@ -147,16 +149,15 @@ class _Moved:
 
     def _prior(self, values: Values) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
         """What is known beforehand, in units of the scales from `values`, and what an
-        error of one such unit counts. A second of a log counts as one reading, with the
-        error that is left: what a model leaves of a run is correlated.
+        error of one such unit counts. A second of a log counts as one reading, since
+        what a model leaves of a run is correlated.
         """
         free = list(self.free.values())
         known = np.array([f.start if f.prior else 0.0 for f in free])
         spread = np.array([f.prior or np.inf for f in free])
-        (left,) = _costs(self.mover, [values], self.course, self.course.settling)
         ticks = np.sum(np.asarray(self.course.there) > 0)
         step = np.median(np.diff(np.asarray(self.course.t), axis=1))
-        weight = min(left, 1.0) * np.sqrt(ticks / max(ticks * step, 1.0))
+        weight = np.sqrt(ticks / max(ticks * step, 1.0))
         off = known - np.array([values[name] for name in self.free])
         return jnp.asarray(off / self.scale), jnp.asarray(weight * self.scale / spread)
 

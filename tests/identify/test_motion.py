@@ -227,7 +227,7 @@ def test_a_boom_that_bends_is_found_from_a_net_pressure(tmp_path):
         for key, v in BOOM.items()
     )
     rig = hj.RigFile.from_text(text.replace("predicts", ranges + "predicts"))
-    logs = [cylinder(i, 6.0, boom=True) for i in (1, 2)]
+    logs = [cylinder(i, 3.0, boom=True) for i in (1, 2)]
     found = hj.fit(rig, logs[:1], validate=logs[1:])
     motion = found.outcome.motion
     assert list(motion.channels) == ["x", "F"]
