@@ -14,7 +14,7 @@ from hydrojax.identify.case import Case
 from hydrojax.identify.preparation.data import SETTLE
 from hydrojax.identify.preparation.segments import segment
 from hydrojax.logs.log import Log
-from hydrojax.plant.load import Inertia
+from hydrojax.plant.load import Inertia, JointedInertia
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import StepInput
 from hydrojax.rigfile.recording import longest
@@ -130,7 +130,7 @@ def parts_of(rig: Rig, load: Inertia, mass: float, h: float) -> int:
     """In how many parts a tick of `h` s is to be run.
 
     From the stiffness of oil, bristle and spring at the rig's values, the oil's twice
-    over since it grows toward the ends of the stroke.
+    over since it grows toward the ends of the stroke, and of a joint in the load.
     """
     chambers, friction = rig.chambers, rig.mechanics
     stiffness = float(load.stiffness) + float(
@@ -139,5 +139,9 @@ def parts_of(rig: Rig, load: Inertia, mass: float, h: float) -> int:
     if float(rig.force_area_1) > 0:  # else no oil drives it
         oil = 2 * (rig.force_area_1 + rig.force_area_2) / chambers.length
         stiffness += 2 * float(chambers.beta * oil)
-    phase = h * np.sqrt(stiffness / mass)
-    return int(np.clip(np.ceil(phase / STIFFEST), 1, MOST_PARTS))
+    rate = np.sqrt(stiffness / mass)
+    if isinstance(load, JointedInertia):
+        joint = float(load.second_stiffness)
+        both = (stiffness + joint) / mass, joint / float(load.second_mass)
+        rate = np.sqrt(max(both))
+    return int(np.clip(np.ceil(h * rate / STIFFEST), 1, MOST_PARTS))
