@@ -96,7 +96,16 @@ def position_delay(of: Inputs) -> Delay | None:
     Beside all that effects do to the flow, as `supply_factor`, and a dead time of the
     valve. No effect makes a position late, but a sensor's lag does so to both
     pressures: a position that is early is not called.
+
+    Dead times of a few steps call every late position, and some that are not: those
+    make up for what the steps leave of the dead time. So a call is tried again with
+    dead times that are found to half a tick.
     """
+    return _position_delay(of, np.inf) and _position_delay(of, of.h / 2)
+
+
+def _position_delay(of: Inputs, within: float) -> Delay | None:
+    """That with dead times found to `within` s, or to one of the steps."""
     ticks = np.array([0.5, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 130, 180, 250])
     steps = [0.0, *(t for t in of.h * ticks if t <= LATEST)]
     dead_times = [0.0, *(t for t in of.h * ticks if t <= DEAD)]
@@ -111,7 +120,10 @@ def position_delay(of: Inputs) -> Delay | None:
         def behind(seconds: float) -> float:
             return _error(near.brought_forward("u", -seconds))
 
-        return own.brought_forward("u", -_first_dip(behind, dead_times)[0])
+        dead, around = _first_dip(behind, dead_times)
+        if dead and np.isfinite(within):
+            dead, _ = _least(behind, around, within)
+        return own.brought_forward("u", -dead)
 
     if not _first_dip(late, steps[:2])[0]:
         return None

@@ -89,9 +89,12 @@ def test_a_late_position_is_brought_forward(honest, tmp_path, ms):
     assert read.signals["psi"][:stop] == pytest.approx(own.signals["psi"][:stop])
 
 
-def test_a_long_dead_time_is_not_a_late_position(tmp_path):
-    """A valve of 72 ms and 10 Hz: what it is late by beyond the position's longest."""
-    files.write(record.record([75])[0], tmp_path)
+@pytest.mark.parametrize("seed", [75, 81])
+def test_a_long_dead_time_is_not_a_late_position(seed, tmp_path):
+    """Valves of 72 ms and 10 Hz, and of 118 ms and 6 Hz: later than a position can be,
+    and between two of the steps that are tried.
+    """
+    files.write(record.record([seed])[0], tmp_path)
     logs = sorted(tmp_path.glob("*.csv"))
     found = hj.check(tmp_path / "rig.toml", logs).found
     assert len(logs) == 3 and not any(f.finding == "delay" for f in found)
