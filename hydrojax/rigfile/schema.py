@@ -262,8 +262,7 @@ def read_rig(
     command = unit_of_command([*base, *(g for gs in added.values() for g in gs)])
     sensed = _sensor_units(command)
     geometry, own = _with_tolerances(f"{path}: [geometry]", file.geometry, GEOMETRY)
-    check_known(f"{path}: [load]", file.load, (*LOAD, "predicts"), "key")
-    load, ranges = _load(f"{path}: [load]", file.load)
+    load, load_ranges = _load(f"{path}: [load]", file.load)
     supply, also = _with_tolerances(f"{path}: [supply]", file.supply, SUPPLY_UNITS)
     spec = RigFile(
         name=file.name or one_line(Path(path).stem, WORD),
@@ -282,7 +281,7 @@ def read_rig(
         path=path,
         tolerances=own | also,
         predicts=file.load.get("predicts", ""),
-        load_ranges=ranges,
+        load_ranges=load_ranges,
         table=valves.table_of(path, file.valve, command) if kind == "table" else None,
         text=text,
     )
@@ -310,6 +309,7 @@ def _load(
     Raises:
         InputError: no quantity, a wrong unit, a range that cannot be, or one of F.
     """
+    check_known(where, table, (*LOAD, "predicts"), "key")
     given = {key: value for key, value in table.items() if key != "predicts"}
     ranged = {key: v for key, v in given.items() if isinstance(v, dict)}
     if "F" in ranged:

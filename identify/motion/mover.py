@@ -80,7 +80,7 @@ def runs_through(course: Course) -> dict[str, Bool[np.ndarray, "runs n"]]:
     return out | {"free": settling}
 
 
-def rms(off: np.ndarray) -> float:
+def rms(off: Float[np.ndarray, "..."]) -> float:
     """Root of the mean square; NaN if not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         size = float(np.sqrt(np.mean(off**2)))
