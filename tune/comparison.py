@@ -82,9 +82,12 @@ def _instability(objective: Objective) -> list[str]:
 
 def _resonance(objective: Objective, after: Metrics) -> list[str]:
     load = objective.setting.loop.load
-    if not isinstance(load, Inertia) or not float(load.stiffness) > 0:
+    if not isinstance(load, Inertia):
         return []
-    at = float(jnp.sqrt(load.stiffness / load.mass)) / 2 / np.pi
+    rates = load.natural_frequencies()
+    if not np.any(swinging := rates > 1e-3):  # not one that is free to drift
+        return []
+    at = float(rates[swinging][0]) / 2 / np.pi
     was, now = (
         20 * np.log10(np.interp(at, objective.hertz, np.abs(f["response"][0])))
         for f in (objective.before, after)

@@ -38,6 +38,10 @@ m = { start = "50 kg", range = ["1 kg", "1000 kg"] }
 """Starts up to twice and half of what is published, as a user would guess them."""
 
 
+TICK, PLACE, PUSH = 0.01, 0.1, 1000.0
+"""What a tick (s), a unit of the position (m) and one of the pressure (N) of the robot
+arm are taken for: its log says none of them."""
+
 EDGE = '{ start = "2e-6 m^3/(s*Pa^0.5)", range = ["1e-9 m^3/(s*Pa^0.5)", "1e-4 m^3/(s*Pa^0.5)"] }'  # noqa: E501
 ARM = f"""
 name = "robot arm"
@@ -58,8 +62,8 @@ second_stiffness = {{ start = "200 kN/m", range = ["1 kN/m", "10000 kN/m"] }}
 second_damping = {{ start = "1000 N*s/m", range = ["0 N*s/m", "100 kN*s/m"] }}
 [channels]
 u = {{ column = "u", unit = "1" }}
-x = {{ column = "x", unit = "m", scale = 0.1 }}
-F = {{ column = "p", unit = "N", scale = 1000.0 }}
+x = {{ column = "x", unit = "m", scale = {PLACE} }}
+F = {{ column = "p", unit = "N", scale = {PUSH} }}
 [parameters]
 beta = {{ start = "1e8 Pa", range = ["5e6 Pa", "3e9 Pa"] }}
 c_p1 = {EDGE}
@@ -74,13 +78,12 @@ tau = {{ start = "20 ms", range = ["0 ms", "50 ms"] }}
 k = "1"
 p = {{ start = "1.8", range = ["1.2", "5"] }}
 """
-"""Nothing of the arm is in units: a tick is taken for 10 ms, a unit of the position for
-0.1 m and one of the pressure for 1 kN. The areas are those of a common cylinder, two to
-one, since the arm moves down twice as fast."""
+"""The areas are those of a common cylinder, two to one, since the arm moves down twice
+as fast."""
 
 SUPPLIES = ("3 MPa", "4 MPa", "5 MPa", "6 MPa", "8 MPa", "12 MPa")
-"""What its supply may have been, from a little over the largest net pressure on; the
-one is taken with which the first half of the log is predicted best."""
+"""What its supply may have been; the one is taken with which the first half of the log
+is predicted best."""
 
 
 class Own(NamedTuple):
@@ -134,32 +137,35 @@ def arm(data: Path, measured: Measured) -> Own:
 
     table = pd.read_csv(data / measured.folder / "log.csv")
     table.insert(0, "time [s]", TICK * np.arange(len(table)))
-    (fit,) = measured.read(data, "fit")
     (whole,) = measured.read(data, "validate")
+    half = table[: whole.first]
     began = time.perf_counter()
-    motions, costs = [], []
+    motions = {}
     for supply in SUPPLIES:
         rig = hj.RigFile.from_text(ARM.replace("SUPPLY", supply))
-        half = table[: fit.t.size]
-        found = hj.fit(rig, [half], test=[table])
-        motion = found.outcome.motion
+        motion = hj.fit(rig, [half], test=[table]).outcome.motion
         if motion is None:
             raise RuntimeError("the arm has no motion to predict")
-        run = motion.series[0]
-        first = run.t < (whole.first - 0.5) * TICK
-        off = (run.after[n][first] / np.std(run.measured[n][first]) for n in ("x", "F"))
-        motions.append(motion)
-        costs.append(np.sqrt(sum(np.mean(o**2) for o in off)))
+        motions[supply] = motion
     seconds = time.perf_counter() - began
-    best = int(np.argmin(costs))
-    rows, judged = {}, ~first
-    for i in (best, *(i for i in range(len(SUPPLIES)) if i != best)):
-        name = "hydrojax" if i == best else f"hydrojax, were the supply {SUPPLIES[i]}"
-        off = motions[i].series[0].after["F"][judged]
-        rows[name] = float(np.sqrt(np.mean(off**2))) / SIZE
-    run = motions[best].series[0]
-    own = np.sqrt(np.mean(run.after["x"][judged] ** 2)) / np.ptp(run.measured["x"])
-    said = f"supply {SUPPLIES[best]}; position off by {own:.1%} of its range; "
+
+    def off(supply: str, signal: str, judged: bool) -> float:
+        """RMS error in the half that is judged, or in the other, SI."""
+        (run,) = motions[supply].series
+        there = (run.t > (whole.first - 0.5) * TICK) == judged
+        return float(np.sqrt(np.mean(run.after[signal][there] ** 2)))
+
+    size = {"x": np.std(half["x"]) * PLACE, "F": np.std(half["p"]) * PUSH}
+    best, *rest = sorted(
+        SUPPLIES,
+        key=lambda supply: np.hypot(*(off(supply, n, False) / size[n] for n in size)),
+    )
+    rows = {"hydrojax": off(best, "F", True) / PUSH}
+    for supply in rest:
+        name = f"hydrojax, were the supply {supply}"
+        rows[name] = off(supply, "F", True) / PUSH
+    own = off(best, "x", True) / PLACE / np.ptp(table["x"])
+    said = f"supply {best}; position off by {own:.1%} of its range; "
     values = (f"{n} {p.value:.3g} {p.unit}" for n, p in motions[best].values.items())
     return Own(rows, said + ", ".join(values), seconds)
 
@@ -194,12 +200,6 @@ def _published(case: Case) -> float | None:
     motion = predict_motion(case, {}, published, {}, ())
     return motion and motion.windows["x"]
 
-
-TICK = 0.01
-"""What a tick of the arm is taken for, s."""
-
-SIZE = 1000.0
-"""A unit of its pressure, N."""
 
 OWN: Mapping[str, Callable[[Path, Measured], Own]] = {
     "EMPS": axis,

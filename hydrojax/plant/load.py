@@ -12,7 +12,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+from scipy.linalg import eigvalsh
 
 from hydrojax.parameters import param
 from hydrojax.plant.state import StepInput
@@ -37,15 +39,15 @@ class PistonMotion(NamedTuple):
     a: Float[Array, "*batch"]
 
 
-class JointedMotion(NamedTuple):
-    """Where the piston stands (m, m/s, m/s^2), by how much the joint behind it is
-    pressed together (m), and how the second mass moves (m/s, m/s^2).
+class TwoMassMotion(NamedTuple):
+    """Where the piston stands (m, m/s, m/s^2), the deflection of the joint behind it
+    (m, compressed), and how the second mass moves (m/s, m/s^2).
     """
 
     x: Float[Array, "*batch"]
     v: Float[Array, "*batch"]
     a: Float[Array, "*batch"]
-    bent: Float[Array, "*batch"]
+    deflection: Float[Array, "*batch"]
     second_v: Float[Array, "*batch"]
     second_a: Float[Array, "*batch"]
 
@@ -253,6 +255,18 @@ class Inertia(_Moving):
         """Motion at the part's end, and the force there, N."""
         return self._answer(at, x, environment, h, force, 0.0, 0.0)
 
+    def natural_frequencies(
+        self, stiffness: float = 0.0, mass: float = 0.0
+    ) -> Float[np.ndarray, "modes"]:
+        """Its undamped natural frequencies, rad/s, ascending.
+
+        Args:
+            stiffness: of what holds the piston besides its spring, N/m.
+            mass: that moves with the piston besides its own, kg.
+        """
+        held = stiffness + float(self.stiffness)
+        return np.sqrt([held / (mass + float(self.mass))])
+
     def _answer(self, at, x, environment, h, force, held, heavier):
         """As `advance`, under `held` (N) more of a pull, and `heavier` (kg) by that.
 
@@ -271,9 +285,9 @@ class Inertia(_Moving):
         return PistonMotion(x[..., 2], half + h / 2 * a, a), rest + slope * a
 
 
-class JointedInertia(Inertia):
-    """An inertia that carries a second mass through an elastic joint: a boom that
-    bends, a load on a long rod.
+class TwoMassLoad(Inertia):
+    """An inertia that carries a second mass through an elastic joint (a two-mass
+    system): a boom that bends, a load on a long rod.
 
     `second_mass a_2 = f` with `f = second_stiffness (x - x_2) + second_damping
     (v - v_2)`, which the first mass carries as well; by the same rule.
@@ -291,19 +305,28 @@ class JointedInertia(Inertia):
         """As an inertia, the joint slack and the second mass at rest."""
         rest = jnp.zeros_like(h)
         x, v, a = super().begin(environment, h, force)
-        return JointedMotion(x, v, a, rest, rest, rest)
+        return TwoMassMotion(x, v, a, rest, rest, rest)
 
     def advance(self, at, x, environment, h, force):
         """Motion at the part's end, and the force there, N."""
         half, second = at.v + h / 2 * at.a, at.second_v + h / 2 * at.second_a
-        bent = at.bent + h * (half - second)
+        deflection = at.deflection + h * (half - second)
         lag = self.second_damping * h / 2
         # What the joint holds if nothing accelerates, and how that grows with a.
-        still = self.second_stiffness * bent + self.second_damping * (half - second)
+        still = self.second_stiffness * deflection + self.second_damping * (
+            half - second
+        )
         share = self.second_mass / (self.second_mass + lag)
         (x, v, a), F = self._answer(
             at, x, environment, h, force, share * still, share * lag
         )
         second_a = (still + lag * a) / (self.second_mass + lag)
         second = second + h / 2 * second_a
-        return JointedMotion(x, v, a, bent, second, second_a), F
+        return TwoMassMotion(x, v, a, deflection, second, second_a), F
+
+    def natural_frequencies(self, stiffness=0.0, mass=0.0):
+        """Its undamped natural frequencies, rad/s, ascending; see `Inertia`."""
+        k, k_2 = stiffness + float(self.stiffness), float(self.second_stiffness)
+        m, m_2 = mass + float(self.mass), float(self.second_mass)
+        squares = eigvalsh([[k + k_2, -k_2], [-k_2, k_2]], np.diag([m, m_2]))
+        return np.sqrt(np.maximum(squares, 0.0))

@@ -16,7 +16,7 @@ from hydrojax.effects.valve import LONGEST, FlowTable, ValveDelay
 from hydrojax.errors import InputError
 from hydrojax.parameters import get, put, specs
 from hydrojax.plant.effect import CommandChannel, Effect
-from hydrojax.plant.load import Driven, Inertia, JointedInertia
+from hydrojax.plant.load import Driven, Inertia, TwoMassLoad
 from hydrojax.plant.rig import Rig, add, bare_rig
 from hydrojax.plant.valve import MeteringEdges
 from hydrojax.rigfile.controller import (
@@ -253,7 +253,7 @@ def free_load(file: RigFile) -> Inertia:
     spring and to the ground by its damper; without a mass where the file gives none.
     """
     given = {name: v for name, v in file.output_load.items() if name != "F"}
-    kind = JointedInertia if "second_mass" in given else Inertia
+    kind = TwoMassLoad if "second_mass" in given else Inertia
     return kind(**{name: _array(given.get(name, 0.0)) for name in specs(kind)})
 
 

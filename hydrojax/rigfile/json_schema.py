@@ -87,7 +87,8 @@ def rig_schema() -> dict[str, Any]:
         entries = {k: quantity_schema(u, said[k]) for k, u in keys.items()}
         if section == "load":
             own = parameters(LOAD_PARAMETERS)
-            entries |= {k: e | {"description": said[k]} for k, e in own.items()}
+            for key, either in own.items():
+                entries[key] |= {"anyOf": either["anyOf"]}
             said = "what is an output of the model, and not given by the log"
             entries["predicts"] = {"enum": list(PREDICTED), "description": said}
         sections[section] |= object_schema(entries)

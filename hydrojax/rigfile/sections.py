@@ -18,7 +18,7 @@ from hydrojax.parameters import Spec, specs
 from hydrojax.plant.chambers import Chambers
 from hydrojax.plant.friction import Friction
 from hydrojax.plant.layout import LAYOUTS
-from hydrojax.plant.load import JointedInertia
+from hydrojax.plant.load import TwoMassLoad
 from hydrojax.plant.valve import AbstractValve, MeteringEdges
 
 GEOMETRY = {
@@ -34,7 +34,7 @@ SUPPLY_UNITS = {"P_s": "Pa", "P_r": "Pa"}
 SUPPLY = {"P_s": 14e6, "P_r": 0.25e6}
 """Supply and return pressure (Pa) where neither log nor rig file has them."""
 
-LOAD_PARAMETERS = specs(JointedInertia)
+LOAD_PARAMETERS = specs(TwoMassLoad)
 """What [load] may hold of a load that moves, by name; each may have a range."""
 
 LOAD = {"F": "N"} | {name: s.unit for name, s in LOAD_PARAMETERS.items()}

@@ -14,7 +14,7 @@ from hydrojax.identify.case import Case
 from hydrojax.identify.preparation.data import SETTLE
 from hydrojax.identify.preparation.segments import segment
 from hydrojax.logs.log import Log
-from hydrojax.plant.load import Inertia, JointedInertia
+from hydrojax.plant.load import Inertia
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import StepInput
 from hydrojax.rigfile.recording import longest
@@ -53,7 +53,8 @@ class Course(NamedTuple):
         return np.cumsum(np.asarray(self.there), axis=1) <= 1.0
 
     def head(self, ticks: int) -> Course:
-        """The first `ticks` of every run."""
+        """The first `ticks` of every run that come after it has settled."""
+        ticks += int(self.settling.sum(axis=1).max())
         inputs = jax.tree.map(lambda a: a[:, : ticks - 1], self.inputs)
         return Course(inputs, *(a[:, :ticks] for a in self[1:]))
 
@@ -129,19 +130,14 @@ def _rows(case: Case, log: Log, parts: int) -> dict[str, np.ndarray]:
 def parts_of(rig: Rig, load: Inertia, mass: float, h: float) -> int:
     """In how many parts a tick of `h` s is to be run.
 
-    From the stiffness of oil, bristle and spring at the rig's values, the oil's twice
-    over since it grows toward the ends of the stroke, and of a joint in the load.
+    By the fastest natural frequency of the load, held by oil and bristle at the rig's
+    values; the oil counts twice, since it grows stiffer toward the ends of the stroke.
+    `mass` (kg) is all that moves with the piston.
     """
     chambers, friction = rig.chambers, rig.mechanics
-    stiffness = float(load.stiffness) + float(
-        jnp.maximum(friction.k_cp, friction.k_cn) / friction.z_ss
-    )
+    stiffness = float(jnp.maximum(friction.k_cp, friction.k_cn) / friction.z_ss)
     if float(rig.force_area_1) > 0:  # else no oil drives it
         oil = 2 * (rig.force_area_1 + rig.force_area_2) / chambers.length
         stiffness += 2 * float(chambers.beta * oil)
-    rate = np.sqrt(stiffness / mass)
-    if isinstance(load, JointedInertia):
-        joint = float(load.second_stiffness)
-        both = (stiffness + joint) / mass, joint / float(load.second_mass)
-        rate = np.sqrt(max(both))
+    rate = load.natural_frequencies(stiffness, mass - float(load.mass))[-1]
     return int(np.clip(np.ceil(h * rate / STIFFEST), 1, MOST_PARTS))

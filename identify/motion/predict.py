@@ -71,12 +71,19 @@ def predict_motion(
         return None
     progress("predict the motion")
     fit = course_of(case, case.fit_logs, mover.parts)
-    check = course_of(case, case.check_logs, mover.parts)
     every = {**free, **of_load}
     every = {n: f for n, f in every.items() if n in mover.model.names}
     starts = searched(mover, found, every, fit) if of_load else [found]
-    ends = {"windows": found, "runs": refined(mover, starts, every, fit)[0]}
-    chosen = tuple(ends)[int(np.argmin(costs_of(mover, list(ends.values()), check)))]
+    best = refined(mover, starts, every, fit)[0]
+    # Stiffer oil or a lighter load than it began with needs a finer tick.
+    finer = mover_of(case, best, added)
+    if finer is not None and finer.parts > mover.parts:
+        mover, fit = finer, course_of(case, case.fit_logs, finer.parts)
+        best = refined(mover, [best], every, fit)[0]
+    check = course_of(case, case.check_logs, mover.parts)
+    ends = {"windows": found, "runs": best}
+    costs = costs_of(mover, list(ends.values()), check, check.settling)
+    chosen = tuple(ends)[int(np.argmin(costs))]
     judged, logs = check, case.check_logs
     if case.test_logs:
         judged, logs = course_of(case, case.test_logs, mover.parts), case.test_logs

@@ -23,15 +23,14 @@ HEAD = 2000
 """Ticks of each log on which starts are sought: time against information."""
 
 DRAWN = 240
-"""Starts that are drawn; a run of each is a hundredth of a fit."""
+"""Starts that are drawn; to rank one takes a single run, to fit it many."""
 
 FITTED = 12
 """Of these, the best that are fitted."""
 
 NEAR = 6
-"""Starts about the two best fits, in each of `ROUNDS`. Of the robot arm of
-`benchmarks.measured` five searches of five then end within 1 % of one another; from
-24 drawn starts alone one of five does."""
+"""Starts about the two best fits, in each of `ROUNDS`: a fit stops in one of many local
+minima, and better ones lie near good ones."""
 
 ROUNDS = 2
 """Rounds of such starts."""
@@ -45,7 +44,7 @@ Values = Mapping[str, float]
 
 def refined(
     mover: Mover,
-    starts: Sequence[Mapping[str, float]],
+    starts: Sequence[Values],
     free: Mapping[str, Free],
     course: Course,
 ) -> list[dict[str, float]]:
@@ -61,7 +60,7 @@ def refined(
     every = runs_through(course)
     moved = _Moved.of(mover, free, course)
 
-    def ends(start: Mapping[str, float]) -> list[dict[str, float]]:
+    def ends(start: Values) -> list[dict[str, float]]:
         steps = dict(start)
         for fresh in every.values():
             steps = moved.fitted(steps, fresh)
@@ -70,25 +69,20 @@ def refined(
     with ThreadPoolExecutor(cores()) as pool:
         found = [end for pair in pool.map(ends, starts) for end in pair]
     tried = [*(dict(start) for start in starts), *found]
-    costs = _costs(mover, tried, course, every["free"])
+    costs = costs_of(mover, tried, course, every["free"])
     return [tried[i] for i in np.argsort(costs, kind="stable")]
 
 
 def costs_of(
-    mover: Mover, tried: Sequence[Values], course: Course
-) -> Float[np.ndarray, "tried"]:
-    """Errors through whole logs with several values, of all signals together, each over
-    how much it varies; inf where a run does not stay finite.
-    """
-    return _costs(mover, tried, course, course.settling)
-
-
-def _costs(
     mover: Mover,
     tried: Sequence[Values],
     course: Course,
     fresh: Bool[np.ndarray, "runs n"],
 ) -> Float[np.ndarray, "tried"]:
+    """RMS errors with several values in runs that begin where ticks are `fresh`, of all
+    signals together, each over its standard deviation; inf where a run does not stay
+    finite.
+    """
     there, size = np.asarray(course.there) > 0, _sizes(course)
     seen = np.isfinite(size)
     off = (mover.run(values, course, fresh[None])[0][there] for values in tried)
@@ -113,19 +107,19 @@ class _Moved:
         return cls(mover, free, index, np.asarray(mover.model.scale)[index], course)
 
     def fitted(
-        self, values: Mapping[str, float], fresh: Bool[np.ndarray, "runs n"]
+        self, values: Values, fresh: Bool[np.ndarray, "runs n"]
     ) -> dict[str, float]:
         """The best values for runs that begin where ticks are `fresh`."""
         directions = np.zeros((len(self.free), len(self.mover.model.names)))
         directions[np.arange(len(self.free)), self.index] = self.scale
+        lower = np.array([f.lower for f in self.free.values()])
+        upper = np.array([f.upper for f in self.free.values()])
         values = dict(values)
         for _ in range(CALLS):
             at = self.mover.vector(values)
             own = at[self.index]
             # In units of what is left, so that a fit ends where it gains no more of it.
-            (left,) = _costs(self.mover, [values], self.course, self.course.settling)
-            lower = np.array([f.lower for f in self.free.values()])
-            upper = np.array([f.upper for f in self.free.values()])
+            (left,) = costs_of(self.mover, [values], self.course, self.course.settling)
             fit = fit_follow(
                 self.mover.model,
                 jnp.asarray(at),
@@ -163,8 +157,8 @@ class _Moved:
 
 
 def _sizes(course: Course) -> Float[np.ndarray, "4"]:
-    """What errors are counted in, SI: how much a signal varies; inf where it was not
-    measured. Not its noise: what a model of a machine leaves is mostly not that.
+    """What errors are divided by, SI: each signal's standard deviation; inf where it
+    was not measured. Not its noise: most of what a model leaves of a machine is not.
     """
     there = np.asarray(course.there) > 0
     spread = np.std(np.asarray(course.measured)[there], axis=0)
@@ -185,7 +179,7 @@ def searched(
     drawn = [dict(found), dict(found) | about]
     drawn += [dict(found) | _near(about, free, WIDE, rng) for _ in range(DRAWN)]
     runs = runs_through(course)
-    ranks = np.argsort(_costs(mover, drawn, course, runs.get("1", runs["free"])))
+    ranks = np.argsort(costs_of(mover, drawn, course, runs.get("1", runs["free"])))
     best = refined(mover, [drawn[i] for i in ranks[:FITTED]], free, course)[:2]
     for _ in range(ROUNDS):
         near = [best[i % 2] for i in range(NEAR)]

@@ -31,9 +31,9 @@ from hydrojax.plant.load import (
     Driven,
     EnvironmentMotion,
     Inertia,
-    JointedInertia,
-    JointedMotion,
     PistonMotion,
+    TwoMassLoad,
+    TwoMassMotion,
 )
 from hydrojax.plant.rig import add
 from hydrojax.plant.valve import LAMINAR_CORE
@@ -292,8 +292,8 @@ def carry(load: Inertia, force: Callable, steps: int, h: float, v: float = 0.0):
     """The load's motion [steps] under `force(x, v, a)` of the cylinder."""
     still = EnvironmentMotion(jnp.zeros(3), jnp.asarray(0.0), jnp.asarray(0.0))
     rest = PistonMotion(*map(jnp.asarray, (0.0, v, 0.0)))
-    if isinstance(load, JointedInertia):
-        rest = JointedMotion(*rest, *jnp.zeros(3))
+    if isinstance(load, TwoMassLoad):
+        rest = TwoMassMotion(*rest, *jnp.zeros(3))
     at, out = rest, []
     for _ in range(steps):
         x = load.move(at, still, h)
@@ -330,7 +330,7 @@ def test_a_second_mass_is_carried_through_its_joint():
     exponential has it, of second order, and what the joint passes on is momentum.
     """
     m, m_2, k, c, k_2, c_2, F_0 = 100.0, 60.0, 1e5, 200.0, 4e4, 150.0, 300.0
-    load = JointedInertia(m, k, c, m_2, k_2, c_2)
+    load = TwoMassLoad(m, k, c, m_2, k_2, c_2)
     own = m + 50.0  # the mass ahead of the load cell counts
     A = np.zeros((5, 5))  # x, v, x_2, v_2, 1
     A[0, 1] = A[2, 3] = 1.0
@@ -344,7 +344,10 @@ def test_a_second_mass_is_carried_through_its_joint():
         errors.append(np.max(np.abs(x - want)))
         assert np.allclose(F, F_0 - 50.0 * a)
     assert errors[0] < 1e-5 * np.ptp(x) * 30 and errors[0] / errors[1] > 3.5
-    stiff = JointedInertia(m, k, c, m_2, 1e9, c_2)
+    K = np.array([[k + k_2, -k_2], [-k_2, k_2]]) / np.array([[own], [m_2]])
+    rates = np.sort(np.sqrt(np.linalg.eigvals(K)))
+    assert load.natural_frequencies(mass=50.0) == pytest.approx(rates, rel=1e-9)
+    stiff = TwoMassLoad(m, k, c, m_2, 1e9, c_2)
     x, *_ = carry(stiff, lambda x, v, a: F_0, 400, 1e-5)
     one, *_ = carry(Inertia(m + m_2, k, c), lambda x, v, a: F_0, 400, 1e-5)
     assert np.max(np.abs(x - one)) < 0.01 * np.ptp(one)

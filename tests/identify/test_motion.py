@@ -15,9 +15,12 @@ from scipy.signal import lfilter
 import hydrojax as hj
 from hydrojax.errors import InputError
 from hydrojax.identify.case import open_case
+from hydrojax.identify.estimation.known import Free
 from hydrojax.identify.motion.course import course_of
 from hydrojax.identify.motion.follow import MovingRig, follow
 from hydrojax.identify.motion.linear import arx_errors
+from hydrojax.identify.motion.mover import mover_of
+from hydrojax.identify.motion.refine import refined
 from hydrojax.parameters import put
 from hydrojax.rigfile.build import build_rig, free_load
 from hydrojax.rigfile.sections import LOAD
@@ -27,6 +30,8 @@ TRUE = {
     "beta": 9e8, "c_p1": 2.4e-9, "c_n1": 2.1e-9, "c_p2": 2.2e-9, "c_n2": 2.5e-9,
     "payload_inertia.m": 160.0, "viscous_friction.b": 900.0,
 }  # fmt: skip
+
+MASS = "payload_inertia.m"
 
 FRICTION = """
 k_cp = "0 N"
@@ -240,9 +245,37 @@ def test_a_boom_that_bends_is_found_from_a_net_pressure(tmp_path):
     again = hj.RigFile.load(tmp_path / "rig_motion.toml")
     own = motion.values["load.second_mass"].value
     assert again.output_load["second_mass"] == pytest.approx(own, rel=1e-5)
+    assert (tmp_path / "report_motion.png").stat().st_size > 20_000
     report = json.loads((tmp_path / "report.json").read_text())
     free = report["motion"]["channels"]["F"]["horizons"]["free"]
     assert free["after"] == motion.channels["F"].horizons["free"].after
+
+
+@pytest.mark.slow
+def test_what_is_known_beforehand_counts():
+    """A mass that is known to a gram is not moved; one that is not is found."""
+    case = open_case(hj.RigFile.from_text(AXIS), [axis(1)])
+    mover = mover_of(case, {MASS: 60.0}, ())
+    assert mover is not None
+    course = course_of(case, case.fit_logs, mover.parts)
+    start = {MASS: 60.0, "viscous_friction.b": 210.0}
+    for prior, found in ((None, 95.0), (1e-3, 60.0)):
+        free = {MASS: Free(60.0, 1.0, 1000.0, prior)}
+        ends = refined(mover, [start], free, course)
+        moved = [values[MASS] for values in ends if values is not start]
+        assert min(abs(m - found) for m in moved) < 0.5
+        assert prior is None or max(abs(m - 60.0) for m in moved) < 0.5
+
+
+def test_the_head_of_a_log_is_what_comes_after_it_settled():
+    """However few ticks are asked for; all of a log that has no more."""
+    case = open_case(hj.RigFile.from_text(AXIS), [axis(1)])
+    course = course_of(case, case.fit_logs, 1)
+    settles = int(course.settling.sum())
+    head = course.head(50)
+    assert settles > 200 and head.t.shape[1] == settles + 50
+    assert head.inputs.u.shape[1] == settles + 49 and head.there.sum() == 51
+    assert course.head(10**6).t.shape == course.t.shape
 
 
 @pytest.mark.slow

@@ -215,7 +215,11 @@ def test_the_schema_takes_a_draft_and_refuses_what_the_program_refuses(log, call
     schema = rig_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(tree, schema)
+    ranged = {"start": "5 kg", "range": ["1 kg", "9 kg"]}
+    moved = {"predicts": "x", "mass": ranged, "second_mass": "2 kg"}
+    jsonschema.validate({**tree, "load": moved}, schema)
     wrong = [
+        {**tree, "load": {"F": ranged}},
         {**tree, "layout": "round"},
         {**tree, "geometry": {"are": "1 m^2"}},
         {**tree, "parameters": {"beta": {"start": "1 Pa"}}},
