@@ -140,4 +140,6 @@ def parts_of(rig: Rig, load: Inertia, mass: float, h: float) -> int:
         oil = 2 * (rig.force_area_1 + rig.force_area_2) / chambers.length
         stiffness += 2 * float(chambers.beta * oil)
     rate = load.natural_frequencies(stiffness, mass - float(load.mass))[-1]
-    return int(np.clip(np.ceil(h * rate / STIFFEST), 1, MOST_PARTS))
+    parts = np.clip(h * rate / STIFFEST, 1, MOST_PARTS)
+    # A power of two: every other number of parts is another program.
+    return int(2 ** np.ceil(np.log2(parts)))

@@ -78,8 +78,11 @@ def predict_motion(
     # Stiffer oil or a lighter load than it began with needs a finer tick.
     finer = mover_of(case, best, added)
     if finer is not None and finer.parts > mover.parts:
+        (was,) = costs_of(mover, [best], fit, fit.settling)
         mover, fit = finer, course_of(case, case.fit_logs, finer.parts)
-        best = refined(mover, [best], every, fit)[0]
+        (now,) = costs_of(mover, [best], fit, fit.settling)
+        if now > (1 + case.criteria.matters) * was:
+            best = refined(mover, [best], every, fit)[0]
     check = course_of(case, case.check_logs, mover.parts)
     ends = {"windows": found, "runs": best}
     costs = costs_of(mover, list(ends.values()), check, check.settling)
