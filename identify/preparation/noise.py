@@ -153,15 +153,16 @@ def _sensor_noise(
     size = min(2048, max(y.size // 4, 16))
     f, power = signal.welch(even, 1 / h, nperseg=size, detrend="linear")
     end = f[-1]
-    floor = float(np.median(power[f > 0.8 * end]))
+    last = np.median(power[f > 0.8 * end])
     middle, below = (
         np.median(power[(f > low * end) & (f <= low * end + 0.2 * end)])
         for low in (0.4, 0.6)
     )
     # At 100 Hz a hard stop moves an encoder up to half of the band, and not its end.
-    flat = middle <= criteria.flat_floor * floor or below <= criteria.flat_end * floor
-    if floor <= 0 or not flat:
+    flat = middle <= criteria.flat_floor * last or below <= criteria.flat_end * last
+    if last <= 0 or not flat:
         return None
+    floor = float(last) / _median_of_mean(y.size, size)
     sigma = np.sqrt(floor * end)
     # Least squares: what smoothing takes off the signal, and leaves of the noise.
     cuts = f[2 : int(0.8 * f.size)]
@@ -175,6 +176,18 @@ def _sensor_noise(
     return SensorNoise(
         float(sigma), step if step / np.sqrt(12) > 0.5 * sigma else 0.0, cut
     )
+
+
+def _median_of_mean(rows: int, size: int) -> float:
+    """Median over mean of white noise's power by Welch's method, half-overlapping
+    segments of `size` rows under a Hann window.
+
+    Source: P. D. Welch, IEEE Trans. Audio Electroacoust. 15 (1967), for the degrees of
+    freedom; E. B. Wilson, M. M. Hilferty, PNAS 17 (1931), for chi-square's median.
+    """
+    segments = max((rows - size // 2) // (size - size // 2), 1)
+    freedom = 36 * segments**2 / (19 * segments - 1)
+    return (1 - 2 / (9 * freedom)) ** 3
 
 
 def derivatives(

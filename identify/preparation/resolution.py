@@ -148,14 +148,19 @@ def _position(
     smoothed = tuple(map(change, logs))
     # Where a chamber is short the same noise moves its pressure further, so that logs
     # that took no part may be left with more of it than those that are fitted.
-    groups = [g for g in (smoothed[:count], smoothed[count:]) if g]
-    again = partial(_again, sensor_noise)
+
+    def again(log: Log, unsmoothed: Log) -> Log:
+        # By the log's own noise: some are noisier than what all are smoothed for.
+        pieces = _stretches([unsmoothed], lambda log: position(log, spec), criteria)
+        own = sensor_noise_of(pieces, criteria) or sensor_noise
+        own = replace(sensor_noise, sigma=own.sigma)
+        return _moved(log, spec, partial(_again, own), criteria)
+
+    twice = tuple(map(again, smoothed, logs))
     both = [
-        (
-            ready(group, noise),
-            ready([_moved(log, spec, again, criteria) for log in group], noise),
-        )
-        for group in groups
+        (ready(smoothed[own], noise), ready(twice[own], noise))
+        for own in (slice(count), slice(count, None))
+        if smoothed[own]
     ]
 
     def problem_of(data: Data) -> Problem:

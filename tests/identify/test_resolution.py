@@ -45,6 +45,21 @@ def test_white_noise_of_a_position_is_measured(sigma):
     assert np.std(left[300:-300]) < 0.5 * sigma
 
 
+@pytest.mark.parametrize("rows", [1600, 6000])
+def test_noise_of_short_logs_is_not_taken_for_less(rows):
+    """In the mean of many: the median of a spectrum of few segments is less than its
+    mean, 3 % of the noise here.
+    """
+    draw = np.random.default_rng(6)
+    found = [
+        sensor_noise_of([(TIME[:rows], MOTION[:rows] + 2e-6 * draw.normal(size=rows))])
+        for _ in range(100)
+    ]
+    sigma = [f.sigma for f in found if f]
+    assert len(sigma) > 90
+    assert np.mean(sigma) == pytest.approx(2e-6, rel=0.012)
+
+
 @pytest.mark.parametrize("rate", [100.0, 512.0, 1000.3, 1024.0, 3000.0])
 @pytest.mark.parametrize("jitter", [0.0, 0.1])
 def test_noise_is_measured_at_any_rate(rate, jitter):
@@ -175,6 +190,23 @@ def test_logs_near_an_end_are_judged_by_the_noise_there(tmp_path, monkeypatch):
     brought = [np.sqrt(c.fit.noise[:2] ** 2 - 9e3**2) for c in (case, moved)]
     ratio = np.sort(brought[1] / brought[0])
     assert 0.9 < ratio[0] < 1.1 and 1.5 < ratio[1] < 2.7
+
+
+@pytest.mark.slow
+def test_a_noisier_position_is_counted_in_its_own_log(tmp_path, monkeypatch):
+    """A log to validate whose position has three times the noise of the others'."""
+    case = coarse_case(tmp_path, monkeypatch, 17)
+    logs = [tmp_path / f"fit_{i}.csv" for i in (1, 2)]
+    table = pd.read_csv(tmp_path / "validate.csv")
+    (psi,) = (n for n in table.columns if n.startswith("psi"))
+    sigma = 2 * math.pi / 2**17 / math.sqrt(12)
+    noise = np.random.default_rng(7).normal(size=len(table))
+    table[psi] += math.sqrt(8) * sigma * noise
+    table.to_csv(tmp_path / "noisy.csv", index=False)
+    noisy = open_case(tmp_path / "rig.toml", logs, [tmp_path / "noisy.csv"])
+    brought = [np.sqrt(c.fit.noise[:2] ** 2 - 9e3**2) for c in (case, noisy)]
+    ratio = brought[1] / brought[0]
+    assert np.all(ratio > 2) and np.all(ratio < 3.5)
 
 
 @pytest.mark.slow
