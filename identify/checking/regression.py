@@ -1,4 +1,4 @@
-"""Least squares on sums over short windows, kept small by a QR factorisation."""
+"""Least squares on sums over short windows, by their normal equations."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
+
+
+UNSEEN = 1e-12
+"""Share of the largest eigenvalue of columns of one size up to which a direction is
+rounding."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +60,25 @@ def solved(
     X = np.stack([table.columns[n] for n in names], axis=1)
     size = np.sqrt(np.sum(X**2, axis=0))
     size[size == 0] = 1.0
-    q, r = np.linalg.qr(X / size)
-    rest, goal = table.y, q.T @ table.y
+    # Of columns of one size, as many as seen: some seven digits are left of doubles, and
+    # it takes a tenth of the time of a factorisation of X.
+    scaled = X / size
+    square, turn = np.linalg.eigh(scaled.T @ scaled)
+    square = np.maximum(square, np.finfo(float).tiny)
+    seen = square > UNSEEN * square[-1]
+    seen[-1] = True  # one direction at least, where all columns are nothing
+    root, turn = np.sqrt(square[seen]), turn[:, seen]
+    r, goal = root[:, None] * turn.T, (turn.T @ (scaled.T @ table.y)) / root
+    inverse = turn / root
     if not_negative:
         open_ = [i for i, n in enumerate(names) if n not in not_negative]
         at, _ = nnls(np.hstack([r, -r[:, open_]]), goal)
         at[open_] -= at[len(names) :]
         at = at[: len(names)]
     else:
-        at = np.linalg.lstsq(r, goal, rcond=1e-12)[0]
-    left = rest - X @ (at / size)
+        at = inverse @ goal
+    left = table.y - X @ (at / size)
     error = float(np.sqrt(np.mean(left**2)))
-    inverse = np.linalg.pinv(r)
     std = error * np.sqrt(1.5 * np.sum(inverse**2, axis=1)) / size
     return Fitted(
         dict(zip(names, (at / size).tolist(), strict=True)),
