@@ -222,7 +222,12 @@ class _Ready:
         names = [n for n in applicable(case) if n not in case.spec.effects]
         problem, check, free, effects = _problems(case, names)
         values = problem.initial_values()
-        needed = (check.errors_at, problem.sums_at) if cores() > 1 else ()
+
+        def fitted(values: np.ndarray) -> None:
+            problem.evaluate(values, free, problem.slots(free), problem.batch)
+
+        # In the order in which they are waited for.
+        needed = (check.errors_at, fitted, problem.sums_at) if cores() > 1 else ()
         ahead = tuple(pool.submit(evaluate, values) for evaluate in needed)
         return cls(problem, check, free, effects, ahead)
 

@@ -21,9 +21,11 @@ from hydrojax.programs import kept
 OPTIONS: dict[str, Any] = {
     "xla_cpu_use_fusion_emitters": False,
     "xla_backend_optimization_level": 1,
+    "xla_llvm_disable_expensive_passes": True,
 }
 """Compiler options for XLA on a CPU, of programs that fuse much. At LLVM's first level
-they compile in 0.85 of the time and run as fast. XLA's fusion emitters
+they compile in 0.85 of the time, without its costly passes in 0.8 of that, and run as
+fast. XLA's fusion emitters
 keep a module for each kernel until all are compiled, which made a trace's peak 2.4 GiB
 (now 1.3, `python -m benchmarks.memory`), and abort the process on some Jacobians of a
 loop's step (a failed check in `SymbolicMap::Compose`, jax 0.10.2). Not for all:
@@ -107,17 +109,26 @@ def program_of_pytrees(f: Callable[..., Any]) -> Callable[..., Any]:
             *((type(a), a) for a in fixed),
             *((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in arrays),
         )
-        with one:
-            made = _PROGRAMS.get(key)
-            if made is None:
-                _let_go_of_old()
-                made = _compiled(f, tree, fixed, moves, arrays)
-            with _KEEPING:
-                _PROGRAMS[key] = made
-                _PROGRAMS.move_to_end(key)
+        made = _used(key)
+        if made is None:
+            with one:  # not held for a program that is there while another is made
+                made = _used(key)
+                if made is None:
+                    _let_go_of_old()
+                    made = _compiled(f, tree, fixed, moves, arrays)
+                    with _KEEPING:
+                        _PROGRAMS[key] = made
         return made(arrays)
 
     return call
+
+
+def _used(key: Hashable) -> Callable[..., Any] | None:
+    """The program of a key, as the one used last; None where there is none."""
+    with _KEEPING:
+        if key in _PROGRAMS:
+            _PROGRAMS.move_to_end(key)
+        return _PROGRAMS.get(key)
 
 
 def _let_go_of_old() -> None:

@@ -48,6 +48,10 @@ SPARE = ((2, 3), (4, 9), (8, 20), (16, 40))
 """Columns kept free for effects that a trace adds (hydraulic, other): the first that
 holds them is taken, so that few programs serve every fit."""
 
+SPARE_OF_PRESSURES = ((4, 3), (8, 9), (16, 20), (16, 40))
+"""The same where no force is compared: machines lack two effects or three, and a second
+program takes as long to compile as 100 steps of a fit save with the smaller one."""
+
 KEPT = 4
 """Values for which a problem keeps the residuals, and what friction remembers."""
 
@@ -114,7 +118,8 @@ class Problem:
 
     def slots(self, free: Sequence[str]) -> tuple[int, int]:
         """Columns, hydraulic and other, of the program that fits these parameters."""
-        return self._holding(free, SPARE)
+        force = np.isfinite(np.asarray(self.batch.noise)[2])
+        return self._holding(free, SPARE if force else SPARE_OF_PRESSURES)
 
     def most_slots(self, free: Sequence[str]) -> tuple[int, int]:
         """Those of the one program that fits nearly all that may be free together."""
