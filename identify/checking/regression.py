@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-
 UNSEEN = 1e-12
 """Share of the largest eigenvalue of columns of one size up to which a direction is
 rounding."""
@@ -60,8 +59,8 @@ def solved(
     X = np.stack([table.columns[n] for n in names], axis=1)
     size = np.sqrt(np.sum(X**2, axis=0))
     size[size == 0] = 1.0
-    # Of columns of one size, as many as seen: some seven digits are left of doubles, and
-    # it takes a tenth of the time of a factorisation of X.
+    # Of columns of one size: some seven digits are left of doubles, and it takes a
+    # tenth of the time of a factorisation of X.
     scaled = X / size
     square, turn = np.linalg.eigh(scaled.T @ scaled)
     square = np.maximum(square, np.finfo(float).tiny)
