@@ -39,6 +39,7 @@ from hydrojax.identify.results.sentence import (
 from hydrojax.identify.results.unexplained import extrapolation, unexplained
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
+from hydrojax.identify.tracing.screen import size_that_matters
 from hydrojax.identify.tracing.state import Tracing, strengths
 from hydrojax.rigfile.schema import SUPPLY
 
@@ -255,6 +256,7 @@ WHY = {
 def _candidates(state: Tracing) -> tuple[Candidate, ...]:
     p = family(state.scores, state.criteria)
     first = {a.name: a for a in state.added}
+    small = state.criteria.smallest_gain * size_that_matters(state, state.noise)
     out = []
     for name, s in state.scores.items():
         what = status(state, name, p[name])
@@ -268,7 +270,11 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
         elif what == "cannot tell":
             why = "these logs would not show it at a size that matters"
         elif not why:
-            why = "there, but too small to matter"
+            why = (
+                "there, but too small to matter"
+                if s.gain <= small
+                else "there, but not fitted: others promised more"
+            )
         out.append(
             Candidate(
                 name,

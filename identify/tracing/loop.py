@@ -167,7 +167,9 @@ def _round(
     helped: list[tuple[float, str, Problem, FitPoint, np.ndarray]] = []
     tries = criteria.tries
     least_left = worth[0].left - worth[0].gain if worth else 0.0
-    spent = 0  # what spoils another channel says nothing of what stands behind it
+    # What spoils another channel says nothing of what stands behind it, nor does what
+    # acts ahead of pressures that are explained.
+    spent, ahead = 0, _ahead_of_explained(state, effects, before, noise)
     for i, s in enumerate(worth):
         enough = max(spent, i - criteria.tries) >= tries
         if enough and s.gain < criteria.near_best * worth[0].gain:
@@ -181,7 +183,7 @@ def _round(
         tried[s.name] = judge(state, before, after, noise, by)
         if negligible(problem, point, effects[s.name]):
             tried[s.name] = "too small"
-        spent += tried[s.name] != "spoils another channel"
+        spent += tried[s.name] != "spoils another channel" and s.name not in ahead
         quiet = state.check.rms(after) <= (1 + criteria.matters) * noise
         if tried[s.name] == "helps" and np.all(quiet[np.isfinite(noise)]):
             tries = 1  # nothing is left: only what comes as near may be the cause
@@ -207,6 +209,25 @@ def _round(
         free=(*state.free, *free_names(effects[name])),
         added=(*state.added, Added(name, p_value, rms(before), rms(after), alike)),
     )
+
+
+def _ahead_of_explained(
+    state: Tracing,
+    effects: Mapping[str, Effect],
+    before: np.ndarray,
+    noise: np.ndarray,
+) -> frozenset[str]:
+    """Effects that act on the pressures, where the force is sought and these are at
+    their noise: a force that lacks something else lends them much of its gain.
+    """
+    at_noise = state.check.rms(before) <= state.criteria.at_noise * noise
+    if not (
+        state.problem.sees_pressures
+        and np.isfinite(noise[2])
+        and np.all(at_noise[PRESSURES])
+    ):
+        return frozenset()
+    return frozenset(n for n, e in effects.items() if place_of(e).shows_in_pressures)
 
 
 def status(state: Tracing, name: str, p_value: float) -> str:

@@ -8,17 +8,22 @@ were added is set by hand.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from benchmarks.trace import cases
+from benchmarks.trace.catalogue import NAMED
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
 from hydrojax.identify.estimation import fit
 from hydrojax.identify.estimation.fit import FitPoint, fit_all
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.tracing import loop
 from hydrojax.identify.tracing.judge import better, may_rise, worsened
 from hydrojax.identify.tracing.rivals import exchanged, pruned, shed
+from hydrojax.identify.tracing.score import Score
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
 
 TRUE, WRONG = "internal_leakage", "external_leakage"
@@ -151,6 +156,49 @@ def test_a_range_met_from_the_balances_is_fitted_from_the_rigs_own_values_too(
     monkeypatch.setattr(fit, "balanced", lambda *_: inside)
     assert fit.fit_from_balances(problem, own, free, said.append)[1] is inside
     assert len(said) == 1
+
+
+@pytest.mark.parametrize("explained, added", [(True, ["stribeck"]), (False, [])])
+def test_what_acts_ahead_of_explained_pressures_does_not_hide_the_force(
+    opened, monkeypatch, explained, added
+):
+    """Three candidates ahead of the pressures score more than friction, and fail; two
+    may be tried in vain.
+    """
+    state = unfitted(opened)
+    own = replace(state.problem.criteria, tries=2)
+    problem, check = (replace(p, criteria=own) for p in (state.problem, state.check))
+    state = replace(state, problem=problem, check=check)
+    force = np.array([0.0, 0.0, 1.0]) if explained else np.ones(3)
+    sse = 1e4 * (force * state.noise) ** 2 * np.ones((len(check.batch.P_0), 1))
+    monkeypatch.setattr(Problem, "errors_at", lambda *_: sse)
+    monkeypatch.setattr(loop, "refit", lambda state, *_: (state.problem, state.point))
+    monkeypatch.setattr(loop, "negligible", lambda *_: False)
+
+    def judged(state, before, after, noise, by):
+        return "helps" if tried[-1] == "refit with stribeck" else "does not help"
+
+    tried: list[str] = []
+    monkeypatch.setattr(loop, "judge", judged)
+    scores = {
+        name: Score(name, gain, np.ones(1), 0.0, 1.0, 1e9, 1.0)
+        for name, gain in ((TRUE, 4e8), (WRONG, 3e8), ("valve_bias", 2e8),
+                           ("stribeck", 1e8))
+    }  # fmt: skip
+    state = replace(state, progress=tried.append)
+    found = loop._round(state, state.effects, scores, state.noise)
+    assert names_of(found) == added
+
+
+@pytest.mark.slow
+def test_a_pair_behind_two_effects_of_the_pressures_is_found(tmp_path):
+    """Four effects, of which two act on the force alone; that plant is another."""
+    name = "several-4-14"
+    (spec,) = (s for s in cases.plan(0, {"several": 15}, list(NAMED)) if s.name == name)
+    assert not cases.write_cases([spec], tmp_path)
+    logs = [tmp_path / name / log for log in cases.LOGS]
+    found = api.trace_case(open_case(tmp_path / name / "rig.toml", logs[:2], logs[2:]))
+    assert {e.name for e in found.effects} == set(spec.effects)
 
 
 @pytest.mark.parametrize(
