@@ -146,17 +146,14 @@ def _position(
         return _moved(log, spec, sensor_noise.smoothed, criteria)
 
     smoothed = tuple(map(change, logs))
+    twice = tuple(
+        _moved(log, spec, partial(_again, own), criteria)
+        for log, own in zip(
+            smoothed, _noise_of_each(logs, spec, sensor_noise, criteria), strict=True
+        )
+    )
     # Where a chamber is short the same noise moves its pressure further, so that logs
     # that took no part may be left with more of it than those that are fitted.
-
-    def again(log: Log, unsmoothed: Log) -> Log:
-        # By the log's own noise: some are noisier than what all are smoothed for.
-        pieces = _stretches([unsmoothed], lambda log: position(log, spec), criteria)
-        own = sensor_noise_of(pieces, criteria) or sensor_noise
-        own = replace(sensor_noise, sigma=own.sigma)
-        return _moved(log, spec, partial(_again, own), criteria)
-
-    twice = tuple(map(again, smoothed, logs))
     both = [
         (ready(smoothed[own], noise), ready(twice[own], noise))
         for own in (slice(count), slice(count, None))
@@ -187,6 +184,18 @@ def _position(
     extra = np.clip(extra, found, criteria.distorted * found)
     note = _position_note(sensor_noise, noise, extra)
     return Smoothed(smoothed, np.hypot(noise, extra), note, change, noise_by)
+
+
+def _noise_of_each(
+    logs: Sequence[Log], spec: RigFile, common: SensorNoise, criteria: Criteria
+) -> Iterator[SensorNoise]:
+    """The position's noise of every log, in size its own: some are noisier than what
+    all are smoothed for.
+    """
+    for log in logs:
+        pieces = _stretches([log], lambda log: position(log, spec), criteria)
+        own = sensor_noise_of(pieces, criteria) or common
+        yield replace(common, sigma=own.sigma)
 
 
 def _brought(

@@ -156,12 +156,7 @@ def _round(
     """Refit the best few candidates and add the one that helps most, if one does."""
     criteria = state.criteria
     p = family(scores, criteria)
-    least = criteria.smallest_gain * size_that_matters(state, noise)
-    worth = [
-        s
-        for s in sorted(scores.values(), key=lambda s: -s.gain)
-        if s.gain > least and worth_a_refit(p[s.name], s, criteria)
-    ]
+    worth = _worth(state, scores, p, noise)
     before = state.check.errors_at(state.point.values)
     tried = dict(state.tried)
     helped: list[tuple[float, str, Problem, FitPoint, np.ndarray]] = []
@@ -183,7 +178,8 @@ def _round(
         tried[s.name] = judge(state, before, after, noise, by)
         if negligible(problem, point, effects[s.name]):
             tried[s.name] = "too small"
-        spent += tried[s.name] != "spoils another channel" and s.name not in ahead
+        spoils = tried[s.name] == "spoils another channel"
+        spent += tried[s.name] == "helps" or not (spoils or s.name in ahead)
         quiet = state.check.rms(after) <= (1 + criteria.matters) * noise
         if tried[s.name] == "helps" and np.all(quiet[np.isfinite(noise)]):
             tries = 1  # nothing is left: only what comes as near may be the cause
@@ -209,6 +205,21 @@ def _round(
         free=(*state.free, *free_names(effects[name])),
         added=(*state.added, Added(name, p_value, rms(before), rms(after), alike)),
     )
+
+
+def _worth(
+    state: Tracing,
+    scores: Mapping[str, Score],
+    p: Mapping[str, float],
+    noise: np.ndarray,
+) -> list[Score]:
+    """The candidates that are worth a refit, those first that promise most."""
+    least = state.criteria.smallest_gain * size_that_matters(state, noise)
+    return [
+        s
+        for s in sorted(scores.values(), key=lambda s: -s.gain)
+        if s.gain > least and worth_a_refit(p[s.name], s, state.criteria)
+    ]
 
 
 def _ahead_of_explained(
