@@ -52,6 +52,11 @@ DEAD = 0.25
 LATE = 0.8
 """Share of the error beside all effects that bringing the position forward may leave;
 twice as far it leaves more than that."""
+EARLY = 1.1
+"""Error with the position brought back over that with it brought forward, up to which a
+late position is not told from late pressures (`benchmarks.machines`, seed 42)."""
+TICKS = np.array([0.5, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 130, 180, 250])
+"""Steps in which shifts are tried."""
 OFF = 0.01
 """Relative difference from the default from which it is named."""
 
@@ -106,38 +111,59 @@ def position_delay(of: Inputs) -> Delay | None:
 
 def _position_delay(of: Inputs, within: float) -> Delay | None:
     """That with dead times found to `within` s, or to one of the steps."""
-    ticks = np.array([0.5, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 130, 180, 250])
-    steps = [0.0, *(t for t in of.h * ticks if t <= LATEST)]
-    dead_times = [0.0, *(t for t in of.h * ticks if t <= DEAD)]
-    own = of
-
-    def late(seconds: float) -> float:
-        return _error(of.brought_forward("x", seconds))
-
-    def with_dead_time(seconds: float) -> Inputs:
-        near = own.brought_forward("x", seconds)
-
-        def behind(seconds: float) -> float:
-            return _error(near.brought_forward("u", -seconds))
-
-        dead, around = _first_dip(behind, dead_times)
-        if dead and np.isfinite(within):
-            dead, _ = _least(behind, around, within)
-        return own.brought_forward("u", -dead)
-
-    if not _first_dip(late, steps[:2])[0]:
+    if not _first_dip(lambda s: _error(of.brought_forward("x", s)), (0.0, of.h / 2))[0]:
         return None
-    given = _error(with_dead_time(0.0))
-    # Of a late position a dead time takes a part, and the other way round: by turns.
-    for _ in range(3):
-        of = with_dead_time(_first_dip(late, steps)[0])
-    seconds, around = _first_dip(late, steps)
-    if not seconds:
+    given = _error(_with_dead_time(of, 0.0, within))
+    seconds, mended, beside = _brought_forward(of, within)
+    twice = _error(beside.brought_forward("x", 2 * seconds))
+    if not seconds or mended > LATE * given or twice < LATE * given:
         return None
-    seconds, mended = _least(late, around, 0.02 * of.h)
-    if mended > LATE * given or late(2 * seconds) < LATE * given:
+    # Pressures that a filter makes late want the position later still, and come near
+    # as well where it is brought forward: what moves to and fro fits again.
+    if any(
+        _error(_with_dead_time(of, -s, within).brought_forward("x", -s))
+        < EARLY * mended
+        for s in _steps(of, LATEST)
+    ):
         return None
     return Delay(seconds, given, mended)
+
+
+def _steps(of: Inputs, most: float) -> list[float]:
+    """The shifts (s) that are tried, up to some."""
+    return [0.0, *(t for t in of.h * TICKS if t <= most)]
+
+
+def _brought_forward(of: Inputs, within: float) -> tuple[float, float, Inputs]:
+    """By how much (s) the position is best brought forward, the error then, and the
+    inputs with the dead time that goes with it.
+
+    Of a late position a dead time takes a part, and the other way round: by turns.
+    """
+    steps, beside = _steps(of, LATEST), of
+
+    def error(seconds: float) -> float:
+        return _error(beside.brought_forward("x", seconds))
+
+    for _ in range(3):
+        beside = _with_dead_time(of, _first_dip(error, steps)[0], within)
+    seconds, around = _first_dip(error, steps)
+    if not seconds:
+        return 0.0, error(0.0), beside
+    return (*_least(error, around, 0.02 * of.h), beside)
+
+
+def _with_dead_time(of: Inputs, seconds: float, within: float) -> Inputs:
+    """The inputs with the command as late as suits a position brought forward."""
+    near = of.brought_forward("x", seconds)
+
+    def behind(seconds: float) -> float:
+        return _error(near.brought_forward("u", -seconds))
+
+    dead, around = _first_dip(behind, _steps(of, DEAD))
+    if dead and np.isfinite(within):
+        dead, _ = _least(behind, around, within)
+    return of.brought_forward("u", -dead)
 
 
 def _first_dip(
