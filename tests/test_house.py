@@ -91,8 +91,8 @@ with open("seen.json", "w") as file:
 
 def test_importing_the_simulator_costs_little_beside_jax(tmp_path):
     """Processor time of one process, the least of three; a sweep of the garbage
-    collector, which falls here or there, is 0.1 of it. What alone would cost half of
-    JAX is not loaded for it.
+    collector, which falls here or there, is 0.1 of it. Libraries that are slow to
+    import are not loaded.
     """
     code = """
 import sys

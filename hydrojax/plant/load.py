@@ -327,7 +327,7 @@ class TwoMassLoad(Inertia):
         """Its undamped natural frequencies, rad/s, ascending; see `Inertia`."""
         k, k_2 = stiffness + float(self.stiffness), float(self.second_stiffness)
         m, m_2 = mass + float(self.mass), float(self.second_mass)
-        # scaled by the masses; scipy's own solver is half of this package's import
+        # Scaled by the masses: SciPy's solver for two matrices is slow to import.
         scale = 1.0 / np.sqrt([m, m_2])
         shaped = np.outer(scale, scale) * [[k + k_2, -k_2], [-k_2, k_2]]
         squares = np.linalg.eigvalsh(shaped)

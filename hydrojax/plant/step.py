@@ -22,6 +22,10 @@ from hydrojax.plant.stretch import ahead
 HALVINGS = 24
 """Of the bracket that holds the force: to 1e-7 of a tick's change."""
 
+ABREAST = 4
+"""Parts of a tick up to which they are written out one behind the other; of more a loop
+is made, which compiles as fast as one part. Closed loops have four."""
+
 Signals = dict[str, Float[Array, "*batch"]]
 """`P_a1`, `P_a2` (Pa) and `F` (N) as the sensors read them, and `true_F` (N), the
 output force itself."""
@@ -100,12 +104,15 @@ def step(
     parts = load.parts(inputs)
     command, openings = rig.openings(state.command, inputs.u, inputs.h, len(parts))
     state = state._replace(command=command)
-    signals: Signals = {}
-    for opening, part in zip(openings, parts, strict=True):
+
+    def one(
+        state: State, at: tuple[tuple[Float[Array, "*batch"], ...], StepInput]
+    ) -> tuple[State, Signals]:
+        opening, part = at
         moved = load.piston(state.motion, part)
         state = act(rig, state, opening, moved)
 
-        def force(v: Array, a: Array, state=state, moved=moved) -> Array:
+        def force(v: Array, a: Array) -> Array:
             F = rig.output_force(rig.sliding(state, moved._replace(v=v, a=a)))
             if load.meets_stops and moved.P is None:
                 F = F + rig.chambers.end_stop(moved.x[..., -1])
@@ -115,7 +122,16 @@ def step(
             state.motion, moved.x, environment_of(part), part.h, force
         )
         state, signals = rig.read(state._replace(motion=motion), F, part.h)
-        signals |= {"true_F": F}
+        return state, signals | {"true_F": F}
+
+    each = list(zip(openings, parts, strict=True))
+    if len(each) > ABREAST:
+        rows = jax.tree.map(lambda *a: jnp.stack(a), *each)
+        state, signals = jax.lax.scan(one, state, rows)
+        return state, {name: y[-1] for name, y in signals.items()}
+    signals: Signals = {}
+    for at in each:
+        state, signals = one(state, at)
     return state, signals
 
 

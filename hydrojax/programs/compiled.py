@@ -25,11 +25,11 @@ OPTIONS: dict[str, Any] = {
 }
 """Compiler options for XLA on a CPU, of programs that fuse much. At LLVM's first level
 they compile in 0.85 of the time, without its costly passes in 0.8 of that, and run as
-fast. XLA's fusion emitters
-keep a module for each kernel until all are compiled, which made a trace's peak 2.4 GiB
-(now 1.3, `python -m benchmarks.memory`), and abort the process on some Jacobians of a
-loop's step (a failed check in `SymbolicMap::Compose`, jax 0.10.2). Not for all:
-a loop that no option of `LOOPS` keeps whole takes minutes to compile without them."""
+fast. XLA's fusion emitters keep a module for each kernel until all are compiled, which
+made a trace's peak 2.4 GiB (now 1.3, `python -m benchmarks.memory`), and abort the
+process on some Jacobians of a loop's step (a failed check in `SymbolicMap::Compose`,
+jax 0.10.2). Not for all: a loop that no option of `LOOPS` keeps whole takes minutes to
+compile without them."""
 
 
 @functools.cache

@@ -185,7 +185,7 @@ def build_loop(
         law = with_gains(law, gains, file, where)
     rig = build_rig(file) if rig is None else rig
     h = control_period(keys)
-    rig = _with_queues(rig, h)
+    rig = with_queues(rig, h)
     return Loop(
         rig=rig,
         law=law,
@@ -215,16 +215,21 @@ def _start(rig: Rig, middle: float) -> float:
     return 2 * middle * a_2 / (a_1 + a_2)
 
 
-def _with_queues(rig: Rig, h: float) -> Rig:
-    """The rig with delays that hold enough ticks of `h` seconds.
+def with_queues(rig: Rig, h: float, longest: float = 0.0) -> Rig:
+    """The rig with delays that hold enough ticks to be stepped.
 
     One of two sizes is taken, so that few programs serve every delay.
+
+    Args:
+        rig: the rig.
+        h: length of a tick, s.
+        longest: that a delay may become, s; twice its own at least.
     """
 
     def long(channel: CommandChannel) -> CommandChannel:
         if not isinstance(channel, ValveDelay):
             return channel
-        tau_u = 2 * float(channel.tau_u)
+        tau_u = max(2 * float(channel.tau_u), longest)
         if tau_u <= (channel.queue - 1) * h:
             return channel
         return replace(channel, queue=math.ceil(max(LONGEST, tau_u) / h) + 2)

@@ -111,19 +111,25 @@ def position_delay(of: Inputs) -> Delay | None:
 
 def _position_delay(of: Inputs, within: float) -> Delay | None:
     """That with dead times found to `within` s, or to one of the steps."""
-    if not _first_dip(lambda s: _error(of.brought_forward("x", s)), (0.0, of.h / 2))[0]:
+
+    def late(seconds: float) -> float:
+        return _error(of.brought_forward("x", seconds))
+
+    steps = _steps(of, LATEST)
+    if not _first_dip(late, steps[:2])[0]:
         return None
     given = _error(_with_dead_time(of, 0.0, within))
     seconds, mended, beside = _brought_forward(of, within)
-    twice = _error(beside.brought_forward("x", 2 * seconds))
-    if not seconds or mended > LATE * given or twice < LATE * given:
+    if not seconds or mended > LATE * given:
+        return None
+    if _error(beside.brought_forward("x", 2 * seconds)) < LATE * given:
         return None
     # Pressures that a filter makes late want the position later still, and come near
     # as well where it is brought forward: what moves to and fro fits again.
     if any(
         _error(_with_dead_time(of, -s, within).brought_forward("x", -s))
         < EARLY * mended
-        for s in _steps(of, LATEST)
+        for s in steps
     ):
         return None
     return Delay(seconds, given, mended)

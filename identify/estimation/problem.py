@@ -50,7 +50,7 @@ holds them is taken, so that few programs serve every fit."""
 
 SPARE_OF_PRESSURES = ((4, 3), (8, 9), (16, 20), (16, 40))
 """The same where no force is compared: machines lack two effects or three, and a second
-program takes as long to compile as 100 steps of a fit save with the smaller one."""
+program takes longer to compile than all fits of a trace save by fewer columns."""
 
 KEPT = 4
 """Values for which a problem keeps the residuals, and what friction remembers."""
@@ -118,8 +118,8 @@ class Problem:
 
     def slots(self, free: Sequence[str]) -> tuple[int, int]:
         """Columns, hydraulic and other, of the program that fits these parameters."""
-        force = np.isfinite(np.asarray(self.batch.noise)[2])
-        return self._holding(free, SPARE if force else SPARE_OF_PRESSURES)
+        usual = SPARE if self.sees_force else SPARE_OF_PRESSURES
+        return self._holding(free, usual)
 
     def most_slots(self, free: Sequence[str]) -> tuple[int, int]:
         """Those of the one program that fits nearly all that may be free together."""
@@ -139,7 +139,7 @@ class Problem:
         larger = ((usual[-1][0] << i, usual[-1][1] << i) for i in range(1, 8))
         sizes = np.add(self.declared, [*usual, *larger])
         first = np.argmax(sizes >= need, axis=0)
-        if np.isfinite(np.asarray(self.batch.noise)[2]):
+        if self.sees_force:
             first[:] = np.max(first)
         return int(sizes[first[0], 0]), int(sizes[first[1], 1])
 
@@ -402,6 +402,11 @@ class Problem:
     def blind(self) -> bool:
         """Whether pressures are simulated that no channel of the log shows."""
         return self.simulate and not self.sees_pressures
+
+    @property
+    def sees_force(self) -> bool:
+        """Whether the force is compared."""
+        return bool(np.isfinite(np.asarray(self.batch.noise)[2]))
 
     @property
     def sees_pressures(self) -> bool:

@@ -17,7 +17,7 @@ from hydrojax.parameters import get, parameter_specs, put, scales
 from hydrojax.plant import step as plant_step
 from hydrojax.plant.load import Inertia
 from hydrojax.plant.rig import Rig
-from hydrojax.plant.state import State, StepInput
+from hydrojax.plant.state import State
 
 
 class MovingRig(eqx.Module):
@@ -78,14 +78,10 @@ def follow(
         rows = (course.measured, course.v, course.a, fresh)
         state = _begun(state, *(row[0] for row in rows[:3]))
 
-        def part(state, inputs):
-            state, signals = plant_step.step(rig, state, inputs, load)
-            return state, signals["F"]
-
         def tick(state, row):
             inputs, (measured, v, a, again) = row
-            state, F = jax.lax.scan(part, state, _ticks_of_one(load, inputs))
-            seen = jnp.stack([state.motion.x, *state.P, F[-1]])
+            state, signals = plant_step.step(rig, state, inputs, load)
+            seen = jnp.stack([state.motion.x, *state.P, signals["F"]])
             anew = _begun(state, measured, v, a)
             state = jax.tree.map(lambda n, s: jnp.where(again, n, s), anew, state)
             return state, seen
@@ -95,14 +91,6 @@ def follow(
         return jnp.concatenate([course.measured[:1], seen])
 
     return jax.vmap(one)(course, fresh)
-
-
-def _ticks_of_one(load: Inertia, inputs: StepInput) -> StepInput:
-    """The parts of a tick one behind the other, as ticks of one part each: run in a
-    loop, many compile as fast as one.
-    """
-    parts = jax.tree.map(lambda *part: jnp.stack(part), *load.parts(inputs))
-    return parts._replace(x=parts.x[:, None], v=parts.v[:, None], a=parts.a[:, None])
 
 
 def _begun(

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from hydrojax.effects.valve import LONGEST
 from hydrojax.identify.case import Case
 from hydrojax.identify.motion.course import SIGNALS, Course, parts_of
 from hydrojax.identify.motion.follow import ParametricMover, run_follow
-from hydrojax.rigfile.build import build_rig, free_load
+from hydrojax.rigfile.build import build_rig, free_load, with_queues
 
 MASSES = ("payload_inertia.m", "load.mass")
 """The parameters that are moving masses, of the plant and of [load]."""
@@ -58,12 +59,13 @@ def mover_of(
     case: Case, found: Mapping[str, float], added: Sequence[str]
 ) -> Mover | None:
     """The rig that moves its load; None where it has no mass."""
-    model = ParametricMover.of(build_rig(case.spec, added), free_load(case.spec))
+    h = float(np.median(np.concatenate([np.diff(log.time) for log in case.fit_logs])))
+    rig = with_queues(build_rig(case.spec, added), h, LONGEST)
+    model = ParametricMover.of(rig, free_load(case.spec))
     mover = Mover(model, 1)
     if mover.mass(found) <= 0:
         return None
     moving = model.at(jnp.asarray(mover.vector(found)))
-    h = float(np.median(np.concatenate([np.diff(log.time) for log in case.fit_logs])))
     return Mover(model, parts_of(moving.rig, moving.load, mover.mass(found), h))
 
 

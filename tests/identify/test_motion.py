@@ -295,6 +295,26 @@ def test_a_run_is_that_of_scipy():
     assert np.sqrt(np.mean(off[:, 1] ** 2)) < 0.02 * np.ptp(log["P_a1 [Pa]"])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("parts", [1, 8])
+def test_a_dead_time_of_many_ticks_is_run_whole(parts):
+    """60 ms at 1 kHz: as the run of a log whose command was put back by hand."""
+    log = cylinder(3, 1.0)
+    late = log.assign(**{"u [V]": log["u [V]"].shift(60).bfill()})
+    effect = '[effects.valve_delay]\ntau_u = "60 ms"\n'
+    runs = []
+    for text, given in ((CYLINDER + effect, log), (CYLINDER, late)):
+        case = open_case(hj.RigFile.from_text(text), [given])
+        mover = mover_of(case, TRUE, ())
+        assert mover is not None
+        course = course_of(case, case.fit_logs, parts)
+        off = mover.run(TRUE, course, course.settling[None])[0, 0]
+        runs.append(off[np.asarray(course.there)[0] > 0, :3])
+    size = np.ptp(log[["x [m]", "P_a1 [Pa]", "P_a2 [Pa]"]].to_numpy(), axis=0)
+    np.testing.assert_array_less(np.abs(runs[0] - runs[1]) / size, 1e-6)
+    assert np.ptp(late["u [V]"]) > 1
+
+
 def test_a_linear_model_is_judged_on_runs_of_its_own():
     """A system that is linear, of second order, is followed, and no better than that:
     least squares on noisy samples takes its lag for a decay.
