@@ -153,20 +153,26 @@ def get(tree: eqx.Module, names: Sequence[str]) -> Float[Array, "names"]:
     return jnp.stack([_reach(tree, at[name]) for name in names])
 
 
-def put(tree: Tree, names: Sequence[str], values: Real[ArrayLike, "names"]) -> Tree:
+def put(
+    tree: Tree,
+    names: Sequence[str],
+    values: Real[ArrayLike, "names"] | tuple[Float[Array, ""], ...],
+) -> Tree:
     """The tree with the named parameters set to `values`, SI, one for each name.
 
-    Values are cast, so that a Python number compiles nothing new.
+    Values are cast, so that a Python number compiles nothing new. A tuple of arrays is
+    taken as it is, not stacked first.
 
     Raises:
         KeyError: a name that the tree does not have.
     """
     at = paths(tree)
-    new = jnp.asarray(values, dtype=float)
+    apart = isinstance(values, tuple)
+    new = values if apart else jnp.asarray(values, dtype=float)
     return eqx.tree_at(
         lambda t: [_reach(t, at[name]) for name in names],
         tree,
-        [new[i] for i in range(len(names))],
+        [jnp.asarray(new[i], dtype=float) for i in range(len(names))],
     )
 
 

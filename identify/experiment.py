@@ -155,7 +155,6 @@ def log_batch(
     windows = Windows(
         seg=jnp.zeros(len(first), int),
         first=jnp.asarray(first),
-        before=table[first[:, None] - PRE + np.arange(PRE), 0],
         before_h=setup.h * jnp.ones((len(first), PRE)),
         P_before=table[first[:, None] - PRE + np.arange(PRE), 1:3],
         u=table[index, 0],
@@ -177,7 +176,13 @@ def log_batch(
     v = path(t, 1)[None]
     ticks = setup.h * jnp.ones((1, n - 1))
     motion = Motion(
-        dx, ticks, jnp.abs(v[:, 0]), v, table[None, :, 3], (table[:1, 1], table[:1, 2])
+        u=table[None, :, 0],
+        dx=dx,
+        h=ticks,
+        speed0=jnp.abs(v[:, 0]),
+        v=v,
+        F=table[None, :, 3],
+        P_0=(table[:1, 1], table[:1, 2]),
     )
     return Batch(
         motion,

@@ -126,13 +126,14 @@ def make_drive(substeps: int = 1, jitter: float = 0.0, seed: int = 0) -> Drive:
         start, end = t[s, ticks], t[s, ticks.start + 1 : ticks.stop + 1]
         return waves[s]["x"](start[:, None] + share * (end - start)[:, None])
 
-    whole = slice(PRE, PRE + TICKS - 1)
+    whole = slice(0, PRE + TICKS - 1)
     motion = Motion(
+        u=np.stack([waves[s]["u"](t[s]) for s in range(2)]),
         dx=np.stack([np.diff(within(s, whole, 4), axis=1) for s in range(2)]),
-        h=np.diff(t, axis=1)[:, whole],
+        h=np.diff(t, axis=1),
         speed0=np.array([2e-3, 5e-3]),
-        v=np.stack([waves[s]["x"](t[s, PRE:], 1) for s in range(2)]),
-        F=np.stack([waves[s]["F"](t[s, PRE:]) for s in range(2)]),
+        v=np.stack([waves[s]["x"](t[s], 1) for s in range(2)]),
+        F=np.stack([waves[s]["F"](t[s]) for s in range(2)]),
         P_0=(np.full(2, 6e6), np.full(2, 6e6)),
     )
 
@@ -148,8 +149,7 @@ def make_drive(substeps: int = 1, jitter: float = 0.0, seed: int = 0) -> Drive:
     gaps = np.diff(t, axis=1, append=t[:, -1:] + 1e-3)
     windows = Windows(
         seg=np.array([s for s, _ in CUT]),
-        first=np.array([i for _, i in CUT]),
-        before=np.stack([waves[s]["u"](t[s, ahead(s, at)]) for s, at in cuts]),
+        first=np.array([PRE + i for _, i in CUT]),
         before_h=np.stack([gaps[s, ahead(s, at)] for s, at in cuts]),
         P_before=np.full((len(cuts), PRE, 2), 6e6),
         u=signal("u"),

@@ -165,4 +165,4 @@ def predict(rig: Any, batch: Any) -> Any:
 
     w = batch.windows
     past = friction_memory(rig, batch.motion).within(w)
-    return readings(rig, w, *pressures(rig, w, batch.P_0), past)
+    return readings(rig, w, *pressures(rig, batch.motion, w, batch.P_0), past)

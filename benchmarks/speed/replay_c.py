@@ -11,7 +11,7 @@ from jaxtyping import ArrayLike
 
 from .build_c import dtype, library, names
 from .numbers import Numbers
-from .replays import NAMES, STAGES, Replay, from_ticks, moved, numbers_at, start
+from .replays import NAMES, STAGES, Replay, ahead, from_ticks, moved, numbers_at, start
 
 _WHOLE = (
     "windows", "ticks", "substeps", "before", "segments", "length", "lag", "threads",
@@ -104,14 +104,15 @@ def prepare(given: Replay, lanes: int = 1, threads: int | None = None) -> Compil
         a = np.pad(a, [(0, padded - count)] + [(0, 0)] * (a.ndim - 1), mode="edge")
         return np.ascontiguousarray(np.moveaxis(a, 0, -1))
 
-    arrays = [turned(a) for a in (w.u, w.h, w.P_s, w.P_r, w.v, w.x_fine, w.before)]
+    before = ahead(given)
+    arrays = [turned(a) for a in (w.u, w.h, w.P_s, w.P_r, w.v, w.x_fine, before)]
     arrays += [turned(given.P_0)]
     arrays += [np.ascontiguousarray(a, float) for a in (m.dx, m.h, m.speed0)]
     arrays += [turned(from_ticks(given)).astype(np.int32)]
     segments, steps, _ = m.dx.shape
     substeps = (w.x_fine.shape[-1] - 1) // 2
     workers = threads or os.cpu_count() or 1
-    whole = (padded, ticks, substeps, w.before.shape[1], segments, steps + 1)
+    whole = (padded, ticks, substeps, before.shape[1], segments, steps + 1)
     log = _Log(*whole, given.lag, workers, *(a.ctypes.data for a in arrays))
     c.room_for.restype = ctypes.c_long
     arrays += [np.empty(2 * c.room_for(ctypes.byref(log)))]

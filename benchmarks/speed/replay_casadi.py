@@ -19,7 +19,7 @@ from hydrojax.plant.valve import LAMINAR_CORE
 
 from .numbers import Numbers, worked_out
 from .plain import spool_step
-from .replays import NAMES, Replay, from_ticks, start
+from .replays import NAMES, Replay, ahead, from_ticks, start
 
 
 def _symbols(begun: Numbers) -> tuple[ca.SX, SimpleNamespace]:
@@ -110,7 +110,7 @@ def _force(begun: Numbers) -> ca.Function:
 
 def openings(given: Replay, begun: Numbers) -> np.ndarray:
     """The valve's mean openings toward either side, [W, ticks - 1, 2]."""
-    u, before = np.asarray(given.windows.u), np.asarray(given.windows.before)
+    u, before = np.asarray(given.windows.u), ahead(given)
     if not given.lag:
         return np.stack([np.maximum(u, 0), np.maximum(-u, 0)], axis=-1)[:, :-1]
     p, out = SimpleNamespace(**begun), []
@@ -168,8 +168,8 @@ def prepare(given: Replay, threads: int | None = None) -> Compiled:
     where = from_ticks(given)[:, None] + np.arange(ticks)
     h = np.asarray(w.h)[:, :-1, None]
     lines = np.stack([w.P_s[:, :-1], w.P_r[:, :-1], w.P_s[:, 1:], w.P_r[:, 1:]], -1)
-    ahead = np.concatenate([openings(given, begun), h, lines, w.x_fine], axis=-1)
-    ahead = ahead.reshape(-1, ahead.shape[-1]).T
+    along = np.concatenate([openings(given, begun), h, lines, w.x_fine], axis=-1)
+    along = along.reshape(-1, along.shape[-1]).T
     beside = np.stack([np.asarray(w.v), switches(given, begun)[where]], -1)
 
     def mapped(one: ca.Function, count: int) -> ca.Function:
@@ -184,7 +184,7 @@ def prepare(given: Replay, threads: int | None = None) -> Compiled:
     window = _tick(begun, (w.x_fine.shape[-1] - 1) // 2).mapaccum("window", ticks - 1)
     many = ca.repmat(params, 1, windows * (ticks - 1))
     first = ca.DM(np.asarray(given.P_0).T)
-    later = ca.horzsplit(mapped(window, windows)(first, ahead, many), ticks - 1)
+    later = ca.horzsplit(mapped(window, windows)(first, along, many), ticks - 1)
     P = ca.horzcat(*(ca.horzcat(first[:, i], p) for i, p in enumerate(later)))
     z = ca.horzcat(*z)[0, where.ravel().tolist()]
     force = mapped(_force(begun), windows * ticks)

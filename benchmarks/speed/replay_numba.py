@@ -15,7 +15,7 @@ from hydrojax.plant.rig import PARTS
 from .numbers import Numbers
 from .peers_numba import COMPILE
 from .plain import bristle, force, pressure_step, records, spool_step
-from .replays import NAMES, STAGES, Replay, from_ticks, moved, numbers_at, start
+from .replays import NAMES, STAGES, Replay, ahead, from_ticks, moved, numbers_at, start
 
 
 @njit(**COMPILE)
@@ -145,7 +145,7 @@ def prepare(given: Replay, threads: int | None = None) -> Compiled:
     def arrays(*given: ArrayLike) -> tuple[np.ndarray, ...]:
         return tuple(np.ascontiguousarray(a, float) for a in given)
 
-    window = arrays(w.before, w.u, w.h, w.P_s, w.P_r, w.x_fine, w.v, given.P_0)
+    window = arrays(ahead(given), w.u, w.h, w.P_s, w.P_r, w.x_fine, w.v, given.P_0)
     motion = arrays(m.dx, m.h, m.speed0)
     segments, steps, _ = motion[0].shape
     room = np.empty(segments * (steps + 1)), np.empty(segments * (steps + 1))

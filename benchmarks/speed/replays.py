@@ -24,6 +24,9 @@ FRICTION = frozenset({"z_ss"})
 STAGES = [2 if n in FRICTION else 1 if n in PRESSURES else 0 for n in NAMES]
 """What a parameter changes: readings (0), pressures too (1), or the bristle (2)."""
 
+AHEAD = 260
+"""Ticks of command ahead of a window that the peers run a spool through."""
+
 STEP = 1e-6
 """Of forward differences, relative to the parameter, or to its scale where it is 0."""
 
@@ -47,12 +50,17 @@ class Replay(NamedTuple):
             return False
         if len(self.rig.command) > 1 or not isinstance(self.rig.command[0], ValveLag):
             raise ValueError("this peer has no other command channel than valve_lag")
-        h = np.concatenate(
-            [np.ravel(self.windows.h[:, :-1]), np.ravel(self.windows.before_h)]
-        )
+        h = np.ravel(self.windows.h[:, :-1])
         if np.ptp(h) > 1e-9 * h[0]:
             raise ValueError("this peer wants even ticks for a valve_lag")
         return True
+
+
+def ahead(replay: Replay) -> np.ndarray:
+    """The command ahead of each window, [W, `AHEAD`], held where the log begins."""
+    w = replay.windows
+    first = np.asarray(w.first)[:, None] + np.arange(-AHEAD, 0)
+    return np.asarray(replay.motion.u)[np.asarray(w.seg)[:, None], np.maximum(first, 0)]
 
 
 def start(replay: Replay) -> Numbers:

@@ -9,17 +9,20 @@ from jaxtyping import Array, Float
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Lines, Point, refilled
 from hydrojax.plant.replay import (
+    Motion,
+    Opened,
     Windows,
     before_filters,
     follow_line,
     line_start,
+    opened_in,
     openings,
 )
 from hydrojax.plant.rig import Rig
 
 
 def imbalance(
-    rig: Rig, w: Windows
+    rig: Rig, motion: Motion, w: Windows
 ) -> tuple[Float[Array, "windows ticks"], Float[Array, "windows ticks"]]:
     """What each chamber's flow balance lacks over every tick, at the measured
     pressures, as a displacement of the piston, [W, lead+T-1] each; m.
@@ -29,13 +32,13 @@ def imbalance(
     section 7.2). What the measured pressures' noise brings into it biases a fit; what
     the model lacks does not run on in it, as it does in a replay.
     """
-    return imbalance_behind(rig, w, openings(rig, w))
+    return imbalance_behind(rig, w, opened_in(rig, openings(rig, motion), w))
 
 
 def imbalance_behind(
-    rig: Rig, w: Windows, opened: tuple[Float[Array, "ticks windows"], ...]
+    rig: Rig, w: Windows, opened: Opened
 ) -> tuple[Float[Array, "windows ticks"], Float[Array, "windows ticks"]]:
-    """The same with the spool where `openings` has it."""
+    """The same with the spool where `opened_in` has it."""
 
     def middle(a):
         return (a[:, :-1] + a[:, 1:]) / 2
@@ -74,9 +77,7 @@ def imbalance_behind(
     return one, two
 
 
-def _lines_along(
-    rig: Rig, w: Windows, opened: tuple[Float[Array, "ticks windows"], ...]
-) -> tuple[Lines, tuple] | None:
+def _lines_along(rig: Rig, w: Windows, opened: Opened) -> tuple[Lines, tuple] | None:
     """What stands in the lines in the middle of every tick, [W, lead+T-1], and by how
     much its drops change over it; by the measured pressures.
     """

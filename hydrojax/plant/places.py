@@ -128,6 +128,15 @@ def opening_names(rig: eqx.Module) -> tuple[str, ...]:
     return tuple(name for name, path in paths(rig).items() if path[0] in parts)
 
 
+def flow_names(rig: eqx.Module) -> tuple[str, ...]:
+    """Names of the parameters on which the pressures' step depends, by the edges'
+    opening and the supply given, in order.
+    """
+    apart = {*opening_names(rig), *gauge_names(rig)}
+    own = hydraulic_names(rig)
+    return tuple(name for name in paths(rig) if name in own and name not in apart)
+
+
 def gauge_names(rig: eqx.Module) -> frozenset[str]:
     """Names of the parameters of the pressure sensors.
 

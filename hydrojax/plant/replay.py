@@ -3,8 +3,8 @@
 Motion is known in a replay and the piston is massless, so nothing feeds back from
 force to pressure. The step's pieces are therefore run one after the other: bristle and
 filtered speed once over each whole segment (in parallel, they are linear in their
-state); the command and the pressures in windows, each from its own initial pressures;
-force and sensors last. `hydrojax.plant.step` scanned over the same
+state), and so the command; the pressures in windows, each from its own initial
+pressures; force and sensors last. `hydrojax.plant.step` scanned over the same
 log gives the same signals.
 """
 
@@ -29,14 +29,17 @@ from hydrojax.plant.state import StepInput
 
 
 class Motion(NamedTuple):
-    """Motion of S segments of N ticks, padded at the end with standstill; SI.
+    """Motion and command of S segments of N ticks, padded with standstill; SI.
 
-    `dx` [S, N-1, 4] displacement over each quarter of a tick; `h` [S, N-1] its length;
+    `u` [S, N] the command, held from each tick to the next; ahead of the first it stood
+    where it begins. `dx` [S, N-1, 4] displacement over each quarter of a tick; `h`
+    [S, N-1] a tick's length;
     `speed0` [S] the filtered speed to start from; `v` [S, N] the velocity at the ticks;
     `F` [S, N] the output force there, smoothed if it was measured, for what it
     stretches; `P_0` the pressures at the first tick, [S] each.
     """
 
+    u: Float[Array, "segments n"]
     dx: Float[Array, "segments n-1 4"]
     h: Float[Array, "segments n-1"]
     speed0: Float[Array, "segments"]
@@ -48,9 +51,9 @@ class Motion(NamedTuple):
 class Windows(NamedTuple):
     """W windows of `lead + T` ticks, cut from S segments; SI.
 
-    The first `lead` ticks let memories settle and are not compared. `before` [W, pre]
-    is the command that precedes, `before_h` its tick lengths, `P_before` [W, pre, 2]
-    the pressures then. `u`, `h`, `P_s`, `P_r`,
+    The first `lead` ticks let memories settle and are not compared. `before_h` [W, pre]
+    are the lengths of the ticks that precede, `P_before` [W, pre, 2] the pressures
+    then. `u`, `h`, `P_s`, `P_r`,
     `t`, `x`, `v`, `a`, `F`, `P_a1`, `P_a2` are [W, lead+T], at the ticks; `h` is the
     tick that follows, `F` that of `Motion`. `dP` [W, lead+T, 3, 2] are the first and
     second derivative of P_a1, P_a2 and P_s as they were logged, smoothed. `x_fine` is
@@ -60,7 +63,6 @@ class Windows(NamedTuple):
 
     seg: Int[Array, "windows"]
     first: Int[Array, "windows"]
-    before: Float[Array, "windows pre"]
     before_h: Float[Array, "windows pre"]
     P_before: Float[Array, "windows pre 2"]
     u: Float[Array, "windows n"]
@@ -144,11 +146,15 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
     return Past(z, speed, v, tuple(slips))
 
 
+STRETCH = 256
+"""Ticks of a segment over which the command's path is run in one go, beside the others:
+a few stretches serve a log of minutes, and what is run ahead of each is not much."""
+
 STEPS, SLOW_STEPS = ((60, 1), (260, 5)), ((60, 1), (260, 2), (960, 7))
-"""How many ticks ahead of a window the command's path is run in steps of how many: what
-a spool remembers need be known tick by tick for a while only, but one whose rate is
-limited forgets nothing while it is late. Longer steps would be off by more than 0.5 %
-of the spool's stroke."""
+"""How many ticks ahead of a stretch the command's path is run in steps of how many:
+what a spool remembers need be known tick by tick for a while only, but one whose rate
+is limited forgets nothing while it is late. Longer steps would be off by more than
+0.5 % of the spool's stroke."""
 
 SETTLED = 260
 """Ticks ahead of a window over which a line settles at the measured pressures."""
@@ -157,14 +163,15 @@ IN_LINES = 25
 """Ticks right ahead of a window over which the lines are followed: a line takes some
 ten to fill or empty."""
 
-Held = tuple[Float[Array, "steps windows parts"], Float[Array, "steps windows"]]
+Opened = tuple[Float[Array, "..."], ...]
+"""The spool's opening over ticks, as `Point` has it."""
+
+Held = tuple[Float[Array, "steps stretches parts"], Float[Array, "steps stretches"]]
 """The command's mean over the parts of each step, and the steps' lengths, s."""
 
 
-def _commands(
-    rig: Rig, w: Windows
-) -> tuple[Rig, Held, Float[Array, "ticks windows parts"]]:
-    """The command ahead of the windows and in them, as late as it comes.
+def _commands(rig: Rig, motion: Motion) -> tuple[Rig, Held, Held]:
+    """The command ahead of the stretches and in them, as late as it comes.
 
     With it the rig without what makes it late: what stands after a delay does not care
     when. One part stands for all of a step where nothing is late.
@@ -174,11 +181,9 @@ def _commands(
     rig = eqx.tree_at(lambda r: r.command, rig, rest, is_leaf=_is_tuple)
     slow = any(isinstance(c, SpoolLimit) for c in rig.command)
     steps = SLOW_STEPS if slow else STEPS
-    pre = min(w.before.shape[1], steps[-1][0])
-    h = jnp.concatenate([w.before_h[:, -pre:], w.h[:, :-1]], axis=1)
-    u = jnp.concatenate([w.before[:, -pre:], w.u[:, :-1]], axis=1)
-    ticks = h.shape[1]
-    edges, near = _edges(pre, ticks, steps), pre - min(steps[0][0], pre)
+    u, h = _stretches(motion, steps[-1][0])
+    pre, ticks = steps[-1][0], h.shape[1]
+    edges, near = _edges(pre, ticks, steps), pre - steps[0][0]
     t, area = (jnp.pad(jnp.cumsum(a, axis=1), ((0, 0), (1, 0))) for a in (h, u * h))
     step = jnp.diff(t[:, edges], axis=1)
     if late:
@@ -194,7 +199,22 @@ def _commands(
         goal = jnp.concatenate([goal[:, :coarse], u[:, near:]], axis=1)[..., None]
     goal, step = jnp.moveaxis(goal, 1, 0), step.T
     ahead = len(edges) - 1 - (ticks - pre)
-    return rig, (goal[:ahead], step[:ahead]), goal[ahead:]
+    return rig, (goal[:ahead], step[:ahead]), (goal[ahead:], step[ahead:])
+
+
+def _stretches(
+    motion: Motion, pre: int
+) -> tuple[Float[Array, "stretches ticks"], Float[Array, "stretches ticks"]]:
+    """Command and ticks of the segments' stretches, each with `pre` ticks ahead of it.
+
+    Those of a segment follow each other.
+    """
+    ticks = motion.h.shape[1]
+    size = min(STRETCH, ticks)
+    first = np.arange(0, ticks, size)[:, None]
+    index = np.clip(first + np.arange(-pre, size), 0, ticks - 1)
+    u, h = motion.u[:, index], motion.h[:, index]
+    return u.reshape(-1, pre + size), h.reshape(-1, pre + size)
 
 
 def _edges(
@@ -238,30 +258,34 @@ def _through(
     return memory, mean_opening(us)
 
 
-def openings(rig: Rig, w: Windows) -> tuple[Float[Array, "ticks windows"], ...]:
-    """The spool's opening over each tick of the windows, as `Point` has it.
-
-    Where something stands in the lines, over up to `IN_LINES` ticks ahead of them too.
+def openings(rig: Rig, motion: Motion) -> Opened:
+    """The spool's opening over each tick of the segments, [S, N-1], as `Point` has it;
+    once for all windows.
     """
-    rig, ahead, goals = _commands(rig, w)
-    held = (goals, w.h[:, :-1].T)
-    if rig.line:
-        near = len(ahead[1]) - min(IN_LINES, w.before.shape[1])
-        held = tuple(
-            jnp.concatenate([a[near:], b]) for a, b in zip(ahead, held, strict=True)
-        )
-        ahead = tuple(a[:near] for a in ahead)
+    segments, ticks = motion.h.shape
+    rig, ahead, held = _commands(rig, motion)
 
     def warm(memory, held):
         return _through(rig, memory, *held)[0], None
 
-    memory = rig.command_init((ahead if len(ahead[1]) else held)[0][0][..., 0])
-    memory, _ = jax.lax.scan(warm, memory, ahead)
-
     def follow(memory, held):
         return _through(rig, memory, *held)
 
-    return scan_in_blocks(follow, memory, held)
+    memory = rig.command_init(ahead[0][0][..., 0])
+    memory, _ = jax.lax.scan(warm, memory, ahead)
+    opened = scan_in_blocks(follow, memory, held)
+    return tuple(o.T.reshape(segments, -1)[:, :ticks] for o in opened)
+
+
+def opened_in(rig: Rig, opened: Opened, w: Windows) -> Opened:
+    """`openings` over the ticks of the windows, [..., ticks, W]; any leading axes.
+
+    Where something stands in the lines, over `IN_LINES` ticks ahead of them too.
+    """
+    ahead = min(IN_LINES, w.P_before.shape[1]) if rig.line else 0
+    at = w.first[:, None] + jnp.arange(-ahead, w.x_fine.shape[1])
+    at = jnp.clip(at, 0).T
+    return tuple(o[..., w.seg, at] for o in opened)
 
 
 def before_filters(rig: Rig, w: Windows) -> Windows:
@@ -287,41 +311,26 @@ def at_start(
 
 
 def pressures(
-    rig: Rig, w: Windows, P_0: Float[Array, "windows 2"]
+    rig: Rig, motion: Motion, w: Windows, P_0: Float[Array, "windows 2"]
 ) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
-    """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa."""
-    return pressures_behind(rig, w, P_0, openings(rig, w))
+    """Both chamber pressures at every tick, [W, lead+T] each, from `P_0` [W, 2]; Pa.
+
+    The windows are cut from the segments of `motion`.
+    """
+    return pressures_behind(rig, w, P_0, opened_in(rig, openings(rig, motion), w))
 
 
 def pressures_behind(
-    rig: Rig,
-    w: Windows,
-    P_0: Float[Array, "windows 2"],
-    opened: tuple[Float[Array, "ticks windows"], ...],
+    rig: Rig, w: Windows, P_0: Float[Array, "windows 2"], opened: Opened
 ) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
-    """The same with the spool where `openings` has it."""
+    """The same with the spool where `opened_in` has it."""
 
     def advance(carry, at):
         (line, P), (opening, inputs) = carry, at
         P, line = pressure_step(rig, P, opening, inputs, line)
         return (line, P), (refilled(P[0]), refilled(P[1]))
 
-    def ends(p):
-        return jnp.stack([p[:, :-1], p[:, 1:]], axis=-1)
-
-    inputs = StepInput(
-        h=w.h[:, :-1],
-        u=w.u[:, :-1],
-        P_s=ends(before_filters(rig, w).P_s),
-        P_r=ends(w.P_r),
-        x=w.x_fine,
-        dx=w.x_fine[..., :0],
-        v=w.v[:, 1:],
-        a=w.a[:, 1:],
-        t=w.t[:, 1:],
-        F=ends(w.F) if rig.stretch else None,
-    )
-    inputs = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), inputs)
+    inputs = tick_inputs(rig, w, before_filters(rig, w).P_s)
     P = (P_0[:, 0], P_0[:, 1])
     start = (line_start(rig, w, opened), P)
     own = tuple(o[-len(inputs.u) :] for o in opened)
@@ -330,6 +339,27 @@ def pressures_behind(
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),
     )
+
+
+def tick_inputs(rig: Rig, w: Windows, P_s: Float[Array, "windows n"]) -> StepInput:
+    """What drives the pressures over each tick, [ticks, W, ...], at a supply `P_s`."""
+
+    def ends(p):
+        return jnp.stack([p[:, :-1], p[:, 1:]], axis=-1)
+
+    inputs = StepInput(
+        h=w.h[:, :-1],
+        u=w.u[:, :-1],
+        P_s=ends(P_s),
+        P_r=ends(w.P_r),
+        x=w.x_fine,
+        dx=w.x_fine[..., :0],
+        v=w.v[:, 1:],
+        a=w.a[:, 1:],
+        t=w.t[:, 1:],
+        F=ends(w.F) if rig.stretch else None,
+    )
+    return jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), inputs)
 
 
 def follow_line(
@@ -342,9 +372,7 @@ def follow_line(
     return follow_drops(rig, at, rig.line_step(line, *middle, h), h, moved)
 
 
-def line_start(
-    rig: Rig, w: Windows, opened: tuple[Float[Array, "ticks windows"], ...]
-) -> Lines | None:
+def line_start(rig: Rig, w: Windows, opened: Opened) -> Lines | None:
     """What stands in the lines where the windows begin, by the measured pressures
     ahead of them.
     """

@@ -28,12 +28,15 @@ from hydrojax.identify.estimation.columns import (
     slot_names,
     thinned,
 )
+from hydrojax.identify.estimation.drive import Spool
+from hydrojax.identify.estimation.memory import spool_of
 from hydrojax.identify.estimation.pieces import Span, at_once, in_pieces
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.identify.estimation.sensitivity import opened_along
 from hydrojax.identify.estimation.starts import placed
 from hydrojax.parameters import put
 from hydrojax.plant.imbalance import imbalance_behind
+from hydrojax.plant.places import opening_names
+from hydrojax.plant.replay import opened_in
 from hydrojax.programs.compiled import program_of_pytrees
 
 Values = Float[np.ndarray, "n"]
@@ -145,9 +148,11 @@ def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
     directions = basis(model, free, slots).hydraulic
     full = jax.tree.map(jnp.asarray, filled(problem.batch, problem.least))
     weight = jnp.asarray(_weight(problem.batch))
+    spool = spool_of(model, at, np.asarray(directions), full.motion)
 
     def part(first: np.int32, end: np.int32) -> np.ndarray:
-        return np.asarray(_run(model, at, directions, full, weight, Span(first, end)))
+        handfuls = Span(first, end)
+        return np.asarray(_run(model, at, directions, full, spool, weight, handfuls))
 
     # Two parts on any machine: sums of others are rounded otherwise.
     handfuls = -(-len(problem.batch.P_0) // HANDFUL)
@@ -199,30 +204,39 @@ def _run(
     values: Float[Array, "n"],
     directions: Float[Array, "n_1 k"],
     batch: Batch,
+    spool: Spool,
     weight: Float[Array, "rows ticks"],
     handfuls: Span,
 ) -> Float[Array, "rows_k rows_k"]:
     """Gram matrix of the balances' sums in some handfuls of windows, each over its
     displacement's RMS.
     """
-    n, zero = model.hydraulic, jnp.zeros(directions.shape[1])
     ends = batch.windows.x_fine[..., :: batch.windows.x_fine.shape[-1] - 1]
     swept = (jnp.diff(ends, axis=-1)[..., 0] @ weight.T) ** 2
     size = jnp.sqrt(jnp.average(jnp.mean(swept, axis=1), weights=batch.weight))
+    # Run by what moves the balances, which is less than a trace has columns.
+    n, apart = model.hydraulic, set(opening_names(model.rig))
+    own = [i for i, name in enumerate(model.names[:n]) if name not in apart]
+    names = [model.names[i] for i in own]
+    along = jnp.concatenate([spool.along, directions[np.array(own, int)]])
+    rig = put(model.rig, model.names[:n], values[:n])
+    at, moves = values[np.array(own, int)], len(spool.along)
 
-    def some(_, w, own):
-        opened, moved = opened_along(model, values, directions, w)
+    def some(_, w, weights):
+        opened, by = (opened_in(rig, o, w) for o in (spool.now, spool.by))
 
-        def rows(d, opened):
-            rig = put(model.rig, model.names[:n], values[:n] + directions @ d)
-            return jnp.stack([e @ weight.T for e in imbalance_behind(rig, w, opened)])
+        def rows(of, opened):
+            here = put(rig, names, of)
+            return jnp.stack([e @ weight.T for e in imbalance_behind(here, w, opened)])
 
-        def column(*along):
-            return jax.jvp(rows, (zero, opened), along)
+        def column(e, by):
+            return jax.jvp(rows, (at, opened), (e[moves:], by))[1]
 
-        lacks, by = jax.vmap(column, out_axes=(None, 0))(jnp.eye(len(zero)), moved)
-        per = jnp.sqrt(own)[None, :, None] / size
-        stack = jnp.concatenate([by, lacks[None]]) * per
+        more = jax.tree.map(lambda a: jnp.pad(a, ((0, len(own)), (0, 0), (0, 0))), by)
+        each = jax.vmap(column)(jnp.eye(len(along)), more)
+        columns = jnp.tensordot(along.T, each, axes=1)
+        per = jnp.sqrt(weights)[None, :, None] / size
+        stack = jnp.concatenate([columns, rows(at, opened)[None]]) * per
         return jnp.einsum("icwr,jcwr->wij", stack, stack)
 
     each = in_pieces(

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from hydrojax.identify.estimation.columns import (
     HANDFUL,
@@ -24,17 +24,28 @@ from hydrojax.identify.estimation.columns import (
     Batch,
     ParametricRig,
 )
-from hydrojax.identify.estimation.pieces import PIECE, PIECES, Span, at_once, in_pieces
+from hydrojax.identify.estimation.drive import (
+    Spool,
+    driven_pressures,
+    openings_by,
+    rows_of,
+)
+from hydrojax.identify.estimation.pieces import PIECE, PIECES, Span, in_pieces
 from hydrojax.identify.estimation.sensitivity import (
     Recalled,
-    driven_pressures,
     memory_along,
     recall,
     recall_along,
     sensitivities,
 )
 from hydrojax.parameters import put
-from hydrojax.plant.replay import Motion, Past, at_start, pressures
+from hydrojax.plant.replay import (
+    Opened,
+    Past,
+    at_start,
+    opened_in,
+    pressures_behind,
+)
 from hydrojax.programs.compiled import program_of_pytrees
 
 START_SPREAD = 3e5
@@ -73,7 +84,6 @@ def _of_windows(
     values: Array,
     directions: Basis,
     batch: Batch,
-    simulate: bool,
     recalled: Recalled,
     size: int,
     span: Span,
@@ -83,7 +93,7 @@ def _of_windows(
 
     def side_by_side(i, windows, P_0, weight):
         own = batch._replace(windows=windows, P_0=P_0, weight=weight)
-        pressure = driven_pressures(model, values, directions, own, simulate)
+        pressure = driven_pressures(model, values, directions, own, recalled.spool)
         # Windows first, as all that is cut into handfuls has them.
         by = jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), pressure.by)
 
@@ -109,19 +119,16 @@ def sums_of_some(
     values: Float[Array, "n"],
     directions: Basis,
     batch: Batch,
-    simulate: bool,
     recalled: Recalled,
     size: int,
     span: Span,
 ) -> Sums:
     """The windows' Gram matrices at `values` along `directions`; see `Sums`.
 
-    `recalled` is the motion's memory at `values`; only the pieces of `span`, of `size`
-    windows each, are summed.
+    `recalled` is what all windows have in common at `values`; only the pieces of
+    `span`, of `size` windows each, are summed.
     """
-    return _of_windows(
-        model, values, directions, batch, simulate, recalled, size, span, _sums
-    )
+    return _of_windows(model, values, directions, batch, recalled, size, span, _sums)
 
 
 def sums(
@@ -131,8 +138,9 @@ def sums(
     batch: Batch,
     simulate: bool,
 ) -> Sums:
-    """`sums_of_some` of all windows, and the memory with them: to be compiled, and
-    differentiated, as a part of more. Where `batch` is filled up its last rows are 0.
+    """`sums_of_some` of all windows, and what they have in common with them: to be
+    compiled, and differentiated, as a part of more. Where `batch` is filled up its last
+    rows are 0.
     """
     along = memory_along(model, directions)
     past = recall(model, values, batch.motion)
@@ -147,11 +155,16 @@ def sums(
         return jax.lax.cond(jnp.any(along[which] != 0), moved, still)
 
     each = [by(which) for which in range(len(along))]
-    recalled = Recalled(past, jax.tree.map(lambda *a: jnp.stack(a), *each), along)
+    stacked, spool = jax.tree.map(lambda *a: jnp.stack(a), *each), None
+    if simulate:
+        rows = rows_of(model, directions.hydraulic)
+        moves = jnp.eye(len(rows))
+        spool = Spool(*openings_by(model, values, moves, batch.motion), rows)
+    recalled = Recalled(past, stacked, along, spool)
     count = len(batch.P_0)
     size = min(count, max(PIECE, -(-count // PIECES)))
     pieces = (size, Span(0, -(-count // size)))
-    out = sums_of_some(model, values, directions, batch, simulate, recalled, *pieces)
+    out = sums_of_some(model, values, directions, batch, recalled, *pieces)
     return jax.tree.map(lambda a: a[:count], out)
 
 
@@ -216,7 +229,6 @@ def leftover(
     model: ParametricRig,
     values: Float[Array, "n"],
     batch: Batch,
-    simulate: bool,
     recalled: Recalled,
     size: int,
     span: Span,
@@ -227,9 +239,7 @@ def leftover(
     """
     n = len(model.names)
     none = Basis(jnp.zeros((model.hydraulic, 0)), jnp.zeros((n - model.hydraulic, 0)))
-    return _of_windows(
-        model, values, none, batch, simulate, recalled, size, span, _leftover_of
-    )
+    return _of_windows(model, values, none, batch, recalled, size, span, _leftover_of)
 
 
 def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:
@@ -244,66 +254,17 @@ def _leftover_of(batch: Batch, y: Array, dy: Array) -> tuple[Array, Array]:
 
 
 @program_of_pytrees
-def run_recall(
-    model: ParametricRig, values: Float[Array | np.ndarray, "n"], motion: Motion
-) -> Past:
-    """`recall`, compiled."""
-    return recall(model, values, motion)
-
-
-@program_of_pytrees
-def run_recall_along(
-    model: ParametricRig,
-    values: Float[Array | np.ndarray, "n"],
-    which: Int[Array, ""] | np.integer | int,
-    motion: Motion,
-) -> Past:
-    """`recall_along`, compiled."""
-    return recall_along(model, values, which, motion)
-
-
-def recall_all(
-    model: ParametricRig,
-    values: Float[Array | np.ndarray, "n"],
-    along: Float[np.ndarray, "names columns"] | None,
-    motion: Motion,
-) -> Recalled:
-    """What friction remembers, and how it moves; on all cores.
-
-    `along` is what `memory_along` gives, or None where no derivative is wanted.
-    """
-    moved = np.flatnonzero(np.any(along != 0, axis=1)) if along is not None else []
-
-    def part(which: int) -> Past:
-        if which < 0:
-            return run_recall(model, values, motion)
-        by = run_recall_along(model, values, np.int32(which), motion)
-        return jax.tree.map(np.asarray, by)
-
-    past, *by = at_once(part, [-1, *map(int, moved)])
-    if along is None:
-        return Recalled(past, None, np.zeros((0, 0)))
-    spare = max(len(moved) % 2, 2 - len(moved))  # few programs serve any number
-    by += [jax.tree.map(np.zeros_like, past)] * spare
-    stacked = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *by)
-    return Recalled(past, stacked, np.pad(along[moved], ((0, spare), (0, 0))))
-
-
-@program_of_pytrees
 def run_sums(
     model: ParametricRig,
     values: Float[Array, "n"],
     directions: Basis,
     batch: Batch,
-    simulate: bool,
     recalled: Recalled,
     size: int,
     span: Span,
 ) -> Sums:
     """`sums_of_some`, compiled."""
-    return sums_of_some(
-        model, values, directions, batch, simulate, recalled, size, span
-    )
+    return sums_of_some(model, values, directions, batch, recalled, size, span)
 
 
 @program_of_pytrees
@@ -311,20 +272,22 @@ def run_leftover(
     model: ParametricRig,
     values: Float[Array, "n"],
     batch: Batch,
-    simulate: bool,
     recalled: Recalled,
     size: int,
     span: Span,
 ) -> tuple[Float[Array, "windows ticks 3"], Float[Array, "windows 2"]]:
     """`leftover`, compiled."""
-    return leftover(model, values, batch, simulate, recalled, size, span)
+    return leftover(model, values, batch, recalled, size, span)
 
 
 @program_of_pytrees
 def run_pressures(
-    model: ParametricRig, values: Float[Array, "n"], batch: Batch
+    model: ParametricRig, values: Float[Array, "n"], batch: Batch, opened: Opened
 ) -> tuple[Float[Array, "windows n"], Float[Array, "windows n"]]:
-    """Both pressures of the windows as the model has them, Pa; compiled."""
-    rig = put(model.rig, model.names, values)
-    w = batch.windows
-    return pressures(rig, w, at_start(rig, w, jnp.asarray(batch.P_0)))
+    """Both pressures of the windows as the model has them, Pa; compiled.
+
+    `opened` is the spool's opening over whole segments.
+    """
+    rig, w = put(model.rig, model.names, values), batch.windows
+    P_0 = at_start(rig, w, jnp.asarray(batch.P_0))
+    return pressures_behind(rig, w, P_0, opened_in(rig, opened, w))

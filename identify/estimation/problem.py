@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,11 +24,12 @@ from hydrojax.identify.estimation.columns import (
     slot_names,
 )
 from hydrojax.identify.estimation.coupled import agreed, stretched
+from hydrojax.identify.estimation.drive import Spool, rows_of
 from hydrojax.identify.estimation.known import Free, Known, prior_rows
+from hydrojax.identify.estimation.memory import recall_all, spool_of
 from hydrojax.identify.estimation.misfit import (
     START_SPREAD,
     Sums,
-    recall_all,
     run_leftover,
     run_pressures,
     run_sums,
@@ -41,7 +43,7 @@ from hydrojax.identify.estimation.sensitivity import (
 from hydrojax.identify.estimation.solve import Fit, minimise_step_by_step
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.plant.places import gauge_names
+from hydrojax.plant.places import gauge_names, opening_names
 from hydrojax.plant.rig import Rig
 
 SPARE = ((2, 3), (4, 9), (8, 20), (16, 40))
@@ -53,10 +55,11 @@ SPARE_OF_PRESSURES = ((4, 3), (8, 9), (16, 20), (16, 40))
 program takes longer to compile than all fits of a trace save by fewer columns."""
 
 KEPT = 4
-"""Values for which a problem keeps the residuals, and what friction remembers."""
+"""Values for which a problem keeps the residuals, what friction remembers, and where
+the spool stands."""
 
 SMALL = 2**26
-"""Bytes of what friction remembers that are kept: logs of minutes, not of hours."""
+"""Bytes of what is remembered that are kept: logs of minutes, not of hours."""
 
 PRESSURES = np.array([True, True, False])
 """Which channels are pressures."""
@@ -89,7 +92,7 @@ class Problem:
     _summed: dict[bytes, Sums] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    _recalled: dict[bytes, Recalled] = field(
+    _common: dict[bytes, Any] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -246,7 +249,7 @@ class Problem:
         recalled = self._recall(model, at, None, batch, full)
 
         def run(*pieces):
-            return run_leftover(model, at, full, self.simulate, recalled, *pieces)
+            return run_leftover(model, at, full, recalled, *pieces)
 
         return self._real(on_all_cores(run, full))
 
@@ -259,14 +262,11 @@ class Problem:
         full: Batch,
     ) -> Sums:
         """The windows' sums of a batch; `full` is what it is filled up to."""
-        along = np.asarray(memory_along(model, directions))
-        recalled = self._recall(model, values, along, batch, full)
+        recalled = self._recall(model, values, directions, batch, full)
         at = jnp.asarray(values)
 
         def run(*pieces):
-            return run_sums(
-                model, at, directions, full, self.simulate, recalled, *pieces
-            )
+            return run_sums(model, at, directions, full, recalled, *pieces)
 
         real = len(batch.P_0)
         return jax.tree.map(lambda a: a[:real], on_all_cores(run, full))
@@ -275,28 +275,50 @@ class Problem:
         self,
         model: ParametricRig,
         values: Float[Array | np.ndarray, "n"],
-        along: Float[np.ndarray, "names columns"] | None,
+        directions: Basis | None,
         batch: Batch,
         full: Batch,
     ) -> Recalled:
-        """What friction remembers of a batch's motion; kept for the values of the last
+        """What all windows of a batch have in common; kept for the values of the last
         few calls, which often differ in nothing that it depends on.
 
-        Only of the problem's own motion: where something gives it is run under other
-        forces, too.
+        What friction remembers only of the problem's own motion: where something gives
+        it is run under other forces, too.
         """
-        if batch.motion is not self.batch.motion:
+        along = hydraulic = None
+        if directions is not None:
+            along = np.asarray(memory_along(model, directions))
+            hydraulic = np.asarray(directions.hydraulic)
+
+        def kept(make: Callable, names: Sequence[str], moves: Array | None) -> Any:
+            own = np.asarray(values)[[model.names.index(n) for n in names]]
+            text = b"" if moves is None else np.asarray(moves).tobytes()
+            return self._kept(make.__name__.encode() + own.tobytes() + text, make)
+
+        def friction() -> tuple:
             return recall_all(model, values, along, full.motion)
-        names = memory_names(model.rig)
-        own = np.asarray(values)[[model.names.index(n) for n in names]]
-        key = own.tobytes() + (b"" if along is None else along.tobytes())
-        found = self._recalled.get(key)
+
+        def spool() -> Spool:
+            return spool_of(model, values, hydraulic, full.motion)
+
+        if batch.motion is self.batch.motion:
+            found = kept(friction, memory_names(model.rig), along)
+        else:
+            found = friction()
+        if not self.simulate:
+            return Recalled(*found, None)
+        rows = None if hydraulic is None else rows_of(model, hydraulic)
+        return Recalled(*found, kept(spool, opening_names(model.rig), rows))
+
+    def _kept(self, key: bytes, make: Callable[[], Any]) -> Any:
+        """What is kept under a key, or what is made and kept, if it is not too much."""
+        found = self._common.get(key)
         if found is None:
-            found = recall_all(model, values, along, full.motion)
+            found = make()
             if sum(a.nbytes for a in jax.tree.leaves(found)) < SMALL:
-                self._recalled[key] = found
-            for old in list(self._recalled)[:-KEPT]:
-                self._recalled.pop(old, None)
+                self._common[key] = found
+            for old in list(self._common)[: -2 * KEPT]:
+                self._common.pop(old, None)
         return found
 
     def _begin(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
@@ -365,7 +387,9 @@ class Problem:
         """
         batch = self.batch
         full = self._filled(batch)
-        P = self._real(run_pressures(*self.model.acting(values), full))
+        model, at = self.model.acting(values)
+        opened = self._recall(model, at, None, batch, full).spool.now
+        P = self._real(run_pressures(model, at, full, opened))
         windows = batch.windows._replace(P_a1=P[0], P_a2=P[1])
         return replace(self, batch=batch._replace(windows=windows), simulate=False)
 

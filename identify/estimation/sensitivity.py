@@ -1,8 +1,8 @@
 """What a model predicts in windows, and how each direction moves that.
 
-Forward mode in the stages of the replay, each with its own derivatives: memory of the
-motion once for all windows, the command's path, pressures by integration, force tick by
-tick (so that two partial derivatives serve every column that acts through the
+In the stages of the replay, each with its own derivatives: memory of the motion and the
+command's path once for all windows, pressures by integration (see `drive`), force tick
+by tick (so that two partial derivatives serve every column that acts through the
 pressures), sensors last. Each stage is run along what moves it and along nothing else.
 """
 
@@ -21,22 +21,17 @@ from jaxtyping import Array, Float, Int
 from hydrojax.identify.estimation.columns import (
     NUISANCE,
     READINGS,
-    SUPPLY_BLOCKS,
     Basis,
-    Batch,
     ParametricRig,
 )
+from hydrojax.identify.estimation.drive import Pressures, Spool
 from hydrojax.parameters import get, put, specs
-from hydrojax.plant.places import opening_names
 from hydrojax.plant.replay import (
     Motion,
     Past,
     Windows,
-    at_start,
     forces,
     friction_memory,
-    openings,
-    pressures_behind,
     sensed,
 )
 from hydrojax.plant.rig import Rig
@@ -59,18 +54,21 @@ def memory_names(rig: Rig) -> tuple[str, ...]:
 
 
 class Recalled(NamedTuple):
-    """What friction sees of the motion over the whole log, and its derivatives by those
-    of `memory_names` that the directions move, on a first axis.
+    """What is had once for all windows: what friction sees of the motion over the whole
+    log, and its derivatives by those of `memory_names` that the directions move, on a
+    first axis; and the spool.
 
     Attributes:
-        past: what it sees.
+        past: what friction sees.
         by: the derivatives; with no directions to move along, none.
         along: how the directions move those parameters.
+        spool: where it stands; None where the pressures are the log's.
     """
 
     past: Past
     by: Past | None
     along: Float[Array | np.ndarray, "moved columns"]
+    spool: Spool | None
 
 
 def memory_along(
@@ -110,119 +108,6 @@ def recall_along(
 
     each = [partial(along, name) for name in memory_names(here)]
     return each[which]() if isinstance(which, int) else jax.lax.switch(which, each)
-
-
-class Pressures(NamedTuple):
-    """Both pressures (Pa), and their derivatives along k_1 hydraulic directions and
-    each of the windows' own unknowns (`NUISANCE`).
-    """
-
-    P: tuple[Float[Array, "windows ticks"], Float[Array, "windows ticks"]]
-    by: tuple[Float[Array, "k windows ticks"], Float[Array, "k windows ticks"]]
-
-
-ABREAST = 2
-"""Derivatives of the spool's opening that are run at once: a fit moves a few of the 15
-or so parameters that the command passes through in a trace, and each run takes the
-opening itself along."""
-
-Opened = tuple[Float[Array, "ticks windows"], ...]
-"""The spool's opening, as `Point` has it."""
-
-OpenedBy = tuple[Float[Array, "columns ticks windows"], ...]
-"""Its derivatives."""
-
-
-def opened_along(
-    model: ParametricRig,
-    values: Float[Array, "n"],
-    hydraulic: Float[Array, "n_1 k"],
-    w: Windows,
-) -> tuple[Opened, OpenedBy]:
-    """The spool's opening, and how it moves along hydraulic directions.
-
-    Only what the command passes through and the edges' lands move it: no other
-    derivative is run, nor those by what no direction moves. `ABREAST` of them run at
-    once.
-    """
-    here = put(model.rig, model.names[: model.hydraulic], values[: model.hydraulic])
-    names = opening_names(here)
-    opened, k = openings(here, w), hydraulic.shape[1]
-    if not names or not k:
-        return opened, jax.tree.map(lambda a: jnp.zeros((k, *a.shape)), opened)
-    rows = hydraulic[np.array([model.names.index(name) for name in names])]
-    at = get(here, names)
-    moves = jnp.any(rows != 0, axis=1)
-    first = jnp.argsort(~moves)  # what moves ahead of what does not
-    more = -len(names) % ABREAST
-
-    def in_parts(a):
-        padded = jnp.pad(a[first], ((0, more), *[(0, 0)] * (a.ndim - 1)))
-        return padded.reshape(-1, ABREAST, *a.shape[1:])
-
-    def along(d):
-        return jax.jvp(lambda of: openings(put(here, names, of), w), (at,), (d,))[1]
-
-    def still() -> OpenedBy:
-        return jax.tree.map(lambda a: jnp.zeros((ABREAST, *a.shape)), opened)
-
-    def part(of):
-        moved, each = of
-        return jax.lax.cond(jnp.any(moved), lambda: jax.vmap(along)(each), still)
-
-    by = jax.lax.map(part, (in_parts(moves), in_parts(jnp.eye(len(names)))))
-
-    def combined(a):
-        a = a.reshape(-1, *a.shape[2:])[: len(names)]
-        return jnp.tensordot(rows[first].T, a, axes=1)
-
-    return opened, jax.tree.map(combined, by)
-
-
-def driven_pressures(
-    model: ParametricRig,
-    values: Float[Array, "n"],
-    directions: Basis,
-    batch: Batch,
-    simulate: bool,
-) -> Pressures:
-    """The pressures along the hydraulic directions, the two initial pressures (per
-    Pa), and the supply's error in each block (per standard deviation of its mean); what
-    the sensors read at first moves none.
-
-    With `simulate` False they are the log's, and nothing moves them.
-    """
-    rig, names, n = model.rig, model.names, model.hydraulic
-    w = batch.windows
-    k_1 = directions.hydraulic.shape[1]
-    if not simulate:
-        still = jnp.zeros((k_1 + NUISANCE, *w.P_a1.shape))
-        return Pressures((w.P_a1, w.P_a2), (still, still))
-    ticks = w.P_s.shape[1]
-    block = jnp.arange(ticks) * SUPPLY_BLOCKS // ticks
-    of_mean = batch.supply_noise / np.sqrt(ticks / SUPPLY_BLOCKS)
-
-    opened, by = opened_along(model, values, directions.hydraulic, w)
-    # What each window has of its own does not move the spool.
-    own = 2 + SUPPLY_BLOCKS
-    by = jax.tree.map(lambda a: jnp.pad(a, ((0, own), (0, 0), (0, 0))), by)
-
-    def run(d, P_shift, supply, opened):
-        # What does not move the rig has no derivative by it to be run along.
-        move = directions.hydraulic @ d if k_1 else 0.0
-        at = put(rig, names[:n], values[:n] + move)
-        moved = w._replace(P_s=w.P_s + of_mean * supply[block])
-        P_0 = at_start(at, moved, batch.P_0 + P_shift)
-        return pressures_behind(at, moved, P_0, opened)
-
-    def along(e, by):
-        parts = (e[:k_1], e[k_1 : k_1 + 2], e[k_1 + 2 :], by)
-        return jax.jvp(run, zero, parts)
-
-    zero = (jnp.zeros(k_1), jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS), opened)
-    P, by = jax.vmap(along, out_axes=(None, 0))(jnp.eye(k_1 + own), by)
-    still = ((0, READINGS), (0, 0), (0, 0))
-    return Pressures(P, (jnp.pad(by[0], still), jnp.pad(by[1], still)))
 
 
 def sensitivities(

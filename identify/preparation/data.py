@@ -20,11 +20,8 @@ from hydrojax.identify.preparation.windows import (
     DRIVEN_LEAD,
     FEWEST_LEAD,
     LEAD,
-    MOST_AHEAD,
     PRE,
-    REACH,
     SETTLE,
-    SLOW_REACH,
     SUBSTEP,
     cut,
     motion,
@@ -33,7 +30,7 @@ from hydrojax.identify.preparation.windows import (
 )
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
-from hydrojax.plant.replay import Motion, Windows
+from hydrojax.plant.replay import SETTLED, Motion, Windows
 from hydrojax.rigfile.schema import RigFile
 
 
@@ -123,8 +120,8 @@ def prepare_logs(
 
 
 class _Size(NamedTuple):
-    """Ticks of a window, of the log and of the command ahead of it, and of its lead;
-    its substeps.
+    """Ticks of a window, of the log that it must have ahead of it, of that which it is
+    given, and of its lead; its substeps.
     """
 
     T: int
@@ -138,10 +135,8 @@ class _Size(NamedTuple):
         """The size of windows of `horizon` s on logs with a row every `h` s."""
         T = max(int(round(horizon / h)), 8)
         if driven_by == "u":
-            slow = min(round(SLOW_REACH / h), MOST_AHEAD)
-            ahead = max(PRE, round(REACH / h), slow)
             lead = max(FEWEST_LEAD, round(LEAD / h))
-            return cls(T, PRE, ahead, lead, max(1, int(np.ceil(h / SUBSTEP))))
+            return cls(T, PRE, SETTLED, lead, max(1, int(np.ceil(h / SUBSTEP))))
         return cls(T, 1, 1, min(DRIVEN_LEAD, int(0.3 / h)), 1)
 
 

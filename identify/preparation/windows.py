@@ -12,15 +12,6 @@ from hydrojax.plant.replay import Motion, Windows
 PRE = 60
 """Ticks of command ahead of a window that the log must have."""
 
-REACH = 0.26
-"""Seconds of command ahead of a window that a replay is given, and `PRE` ticks at
-least: a slow spool remembers so long, and the longest delay is within."""
-
-SLOW_REACH, MOST_AHEAD = 10.0, 960
-"""Seconds that slow logs are given instead, and ticks at most: a spool of a mobile
-machine, limited to one per second, takes two seconds from end to end, and where the
-command never rests it is late for longer."""
-
 LEAD, FEWEST_LEAD = 0.02, 4
 """Seconds at the head of a window that are run but not compared, and ticks at least."""
 
@@ -87,8 +78,11 @@ def spread_runs(
 
 
 def motion(segments: list[Segment], h: float) -> Motion:
-    """What friction follows through whole segments, whose ticks last about `h` s."""
+    """What friction and the command's path follow through whole segments, whose ticks
+    last about `h` s.
+    """
     n = max(s.t.size for s in segments)
+    u = [np.pad(s.u, (0, n - s.t.size), mode="edge") for s in segments]
     dx = np.zeros((len(segments), n - 1, QUARTERS))
     ticks = np.full((len(segments), n - 1), h)
     speed, v, F = np.zeros(len(segments)), np.zeros((len(segments), n)), []
@@ -102,17 +96,13 @@ def motion(segments: list[Segment], h: float) -> Motion:
         speed[k] = first.sum() / (first.shape[0] * h)
         v[k, : s.t.size] = s.v
         F.append(np.pad(s.smoothed, (0, n - s.t.size), mode="edge"))
-    dx, ticks, speed, v, F = (
-        jnp.asarray(np.array(a)) for a in (dx, ticks, speed, v, F)
-    )
     one, two = (jnp.asarray([s.P[0, i] for s in segments]) for i in range(2))
-    return Motion(dx, ticks, speed, v, F, (one, two))
+    whole = (jnp.asarray(np.array(a)) for a in (u, dx, ticks, speed, v, F))
+    return Motion(*whole, (one, two))
 
 
-def _past(
-    s: Segment, first: int, pre: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The command ahead of a window, tick by tick, its ticks, s, and the pressures, Pa.
+def _past(s: Segment, first: int, pre: int) -> tuple[np.ndarray, np.ndarray]:
+    """The ticks ahead of a window, s, and the pressures then, Pa.
 
     Ahead of the segment they are taken to have stood where they began.
     """
@@ -121,7 +111,6 @@ def _past(
     own = slice(first - have, first)
     h = np.diff(s.t[first - have : first + 1])
     return (
-        np.pad(s.u[own], lack, "edge"),
         np.pad(h, lack, constant_values=usual),
         np.pad(s.P[own], (lack, (0, 0)), "edge"),
     )
@@ -138,7 +127,7 @@ def cut(
     """The windows, and a first guess of the pressures where each begins, Pa.
 
     `cuts` are segments and first ticks there; a window has `lead + T`, each of `n`
-    substeps, and the command of `pre` ticks ahead of it.
+    substeps, and the pressures of `pre` ticks ahead of it.
     """
     parts = np.arange(2 * n + 1) / (2 * n)
     columns: dict[str, list] = {name: [] for name in Windows._fields}
@@ -153,11 +142,10 @@ def cut(
         near = slice(max(first - around, 0), first + around + 1)
         slope = np.polyfit(s.t[near] - t[0], s.P[near], 1)
         P_0.append(slope[1])
-        before, before_h, P_before = _past(s, first, pre)
+        before_h, P_before = _past(s, first, pre)
         row = {
             "seg": k,
             "first": first,
-            "before": before,
             "before_h": before_h,
             "P_before": P_before,
             "u": s.u[at],

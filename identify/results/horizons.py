@@ -18,7 +18,14 @@ from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import ChannelErrors, Horizon, skill_text
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.parameters import put
-from hydrojax.plant.replay import at_start, friction_memory, pressures, readings
+from hydrojax.plant.replay import (
+    at_start,
+    friction_memory,
+    opened_in,
+    openings,
+    pressures_behind,
+    readings,
+)
 from hydrojax.programs.compiled import program_of_pytrees
 
 LONGER = (1.0, 5.0)
@@ -162,6 +169,7 @@ def _run_on(
     """
     rig, w = put(model.rig, model.names, values), batch.windows
     past = friction_memory(rig, batch.motion).within(w)
+    opened = openings(rig, batch.motion)
     end = w.scored
     shown = end - (w.x.shape[1] - w.scored)  # among the readings, which have no lead
 
@@ -172,7 +180,8 @@ def _run_on(
                 lambda a, b: jnp.where(begins, a, b), tuple(measured), ended
             )
             alone, before = jax.tree.map(lambda a: a[None], (inputs, before))
-            P_a1, P_a2 = pressures(rig, alone, P[None])
+            own = opened_in(rig, opened, alone)
+            P_a1, P_a2 = pressures_behind(rig, alone, P[None], own)
             alone = alone._replace(
                 P_a1=alone.P_a1.at[0, 0].set(read[0]),
                 P_a2=alone.P_a2.at[0, 0].set(read[1]),

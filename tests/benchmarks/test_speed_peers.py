@@ -261,7 +261,7 @@ def predicted(rig: Any, log: Any) -> Callable[[jax.Array], jax.Array]:
     def replay(params):
         moved = put(rig, NAMES, params)
         past = friction_memory(moved, motion).within(w)
-        return readings(moved, w, *pressures(moved, w, P_0), past)
+        return readings(moved, w, *pressures(moved, motion, w, P_0), past)
 
     return replay
 

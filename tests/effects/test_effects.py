@@ -20,10 +20,11 @@ from hydrojax.identify.estimation.columns import (
     ParametricRig,
     basis,
 )
-from hydrojax.identify.estimation.misfit import recall_all
+from hydrojax.identify.estimation.drive import driven_pressures
+from hydrojax.identify.estimation.memory import recall_all, spool_of
 from hydrojax.identify.estimation.sensitivity import (
     SLOPE_SPREAD,
-    driven_pressures,
+    Recalled,
     memory_along,
     sensitivities,
 )
@@ -89,7 +90,7 @@ class Replay:
         motion, w, P_0 = jax.tree.map(jnp.asarray, drive[:3])
 
         def replay(rig):
-            P = pressures(rig, w, P_0)
+            P = pressures(rig, motion, w, P_0)
             return readings(rig, w, *P, friction_memory(rig, motion).within(w))
 
         def both(rig, along):
@@ -642,12 +643,15 @@ def batch(log):
 
 def moved(model, values, directions, b, simulate):
     """Predictions and columns, as a fit makes them."""
-    along = np.asarray(memory_along(model, directions))
-    recalled = recall_all(model, np.asarray(values), along, b.motion)
+    along, at = np.asarray(memory_along(model, directions)), np.asarray(values)
+    spool = None
+    if simulate:
+        spool = spool_of(model, at, np.asarray(directions.hydraulic), b.motion)
+    recalled = Recalled(*recall_all(model, at, along, b.motion), spool)
 
     @program
     def run(values, b, recalled):
-        pressure = driven_pressures(model, values, directions, b, simulate)
+        pressure = driven_pressures(model, values, directions, b, recalled.spool)
         own = (directions, b.windows, pressure, recalled)
         return sensitivities(model, values, *own)
 
@@ -668,7 +672,8 @@ def plain():
     @program
     def predict(rig, b):
         w, past = b.windows, friction_memory(rig, b.motion).within(b.windows)
-        return readings(rig, w, *pressures(rig, w, at_start(rig, w, b.P_0)), past)
+        P = pressures(rig, b.motion, w, at_start(rig, w, b.P_0))
+        return readings(rig, w, *P, past)
 
     return predict
 
@@ -739,7 +744,12 @@ def test_supply_errors_have_their_derivative(full, batch, columns):
         lambda P_s: readings(
             full,
             w,
-            *pressures(full, w._replace(P_s=P_s), at_start(full, w, batch.P_0)),
+            *pressures(
+                full,
+                batch.motion,
+                w._replace(P_s=P_s),
+                at_start(full, w, batch.P_0),
+            ),
             friction_memory(full, batch.motion).within(w),
         )
     )
@@ -760,7 +770,7 @@ def test_first_readings_have_their_derivative(full, batch, columns):
     """
     model, _, dy = columns
     w = batch.windows
-    P = pressures(full, w, at_start(full, w, batch.P_0))
+    P = pressures(full, batch.motion, w, at_start(full, w, batch.P_0))
     past = friction_memory(full, batch.motion).within(w)
     read = jax.jit(lambda w: readings(full, w, *P, past))
 

@@ -40,7 +40,7 @@ from hydrojax.identify.results.parts import parameter_of
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.parameters import specs
-from hydrojax.plant.replay import friction_memory
+from hydrojax.plant.replay import SETTLED, friction_memory
 from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile
 from tests import generator
@@ -617,15 +617,15 @@ def test_no_window_straddles_a_hole(bench, tmp_path, hole):
     w = data.windows
     rows_of = np.asarray(w.u) * 1e3
     np.testing.assert_allclose(np.diff(rows_of, axis=1), 1.0, atol=1e-6)
-    ahead = np.diff(np.asarray(w.before), axis=1)
+    u, ahead = np.asarray(data.motion.u), np.diff(np.asarray(w.P_before), axis=1)
     # A row each, and what stood at the segment's head ahead of it.
-    assert np.all(np.isclose(ahead, 1e-3, atol=1e-9) | (ahead == 0))
-    assert np.all(np.isclose(ahead[:, 1 - windows.PRE :], 1e-3, atol=1e-9))
+    assert np.all(np.isclose(ahead, 1.0, atol=1e-6) | (ahead == 0))
+    assert np.all(np.isclose(ahead[:, 1 - windows.PRE :], 1.0, atol=1e-6))
     np.testing.assert_allclose(w.h, 1e-3, atol=1e-9)
     np.testing.assert_allclose(w.before_h, 1e-3, atol=1e-9)
-    np.testing.assert_allclose(np.asarray(w.u[:, 0] - w.before[:, -1]), 1e-3, atol=1e-9)
+    np.testing.assert_allclose(u[w.seg, w.first], w.u[:, 0], atol=1e-9)
+    first = np.asarray(u)[w.seg, 0] * 1e3
     for edge in holes:  # from the first row that a window remembers to its last
-        first = np.asarray(w.before)[:, 0] * 1e3
         assert not np.any((first < edge - 0.5) & (rows_of[:, -1] > edge + 0.5))
     scored = np.asarray(w.measured)
     lead = rows_of.shape[1] - scored.shape[1]
@@ -764,36 +764,35 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
     assert not runs_backward(case.fit)
 
 
-def test_the_command_ahead_of_a_window_reaches_far_back(recorded):
+def test_what_precedes_a_window_reaches_far_back(recorded):
     case = recorded(SEED, {})
     data, log = opened(case).fit, Log.load(case / "fit_1.csv")
-    w, u = data.windows, log.signals["u"]
-    reach = w.before.shape[1]
-    assert reach >= round(windows.REACH / 1e-3)
+    w, P = data.windows, log.signals["P_a1"]
+    assert np.array_equal(data.motion.u[0], log.signals["u"])
     for i in (0, 5):
         first = int(w.first[i])
-        assert np.sum(w.before_h[i]) == pytest.approx(reach * 1e-3)
-        had = min(first, reach)
-        assert np.allclose(w.before[i, -had:], u[first - had : first])
-        assert np.allclose(w.before[i, :-had], u[0])
+        assert np.sum(w.before_h[i]) == pytest.approx(SETTLED * 1e-3)
+        had = min(first, SETTLED)
+        assert np.allclose(w.P_before[i, -had:, 0], P[first - had : first])
+        assert np.allclose(w.P_before[i, :-had, 0], P[0])
 
 
 def test_a_segment_that_begins_late_had_stood_still():
-    """Where a window's past reaches ahead of the log, the first command is held."""
+    """Where a window's past reaches ahead of the log, the first pressures are held."""
     t = np.arange(400) * 1e-3
     u = np.where(t < 0.1, 2.0, -1.0)
     zero = np.zeros(t.size)
     line = make_interp_spline(t, zero, k=1)
     segment = segments.Segment(
         log=0, origin=0.0, t=t, place=line, v=zero, a=zero, u=u, P_s=zero, P_r=zero,
-        P=np.zeros((t.size, 2)), dP=np.zeros((t.size, 3, 2)), F=zero, smoothed=zero,
+        P=np.stack([u, u], axis=1), dP=np.zeros((t.size, 3, 2)), F=zero, smoothed=zero,
     )  # fmt: skip
-    before, h, _ = windows._past(segment, 150, 260)
-    assert before.size == h.size == 260
+    h, P = windows._past(segment, 150, 260)
+    assert len(P) == h.size == 260
     assert np.allclose(h, 1e-3)
     reach = np.cumsum(h[::-1])[::-1] - h  # from a tick's end to the window
-    assert np.allclose(before[reach > 0.05], 2.0)
-    assert np.allclose(before[reach < 0.049], -1.0)
+    assert np.allclose(P[reach > 0.05], 2.0)
+    assert np.allclose(P[reach < 0.049], -1.0)
 
 
 def test_motion_under_a_command_is_never_turned(recorded):

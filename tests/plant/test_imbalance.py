@@ -17,22 +17,20 @@ LEAK = 4e-12
 
 
 def windows(drive):
-    """The drive's windows under pressures in closed form, the valve shut."""
+    """The drive and its windows under pressures in closed form, the valve shut."""
     w = drive.windows
-    return w._replace(
-        P_a1=jnp.asarray(P_1(w.t)),
-        P_a2=jnp.asarray(P_2(w.t)),
-        u=jnp.zeros_like(w.u),
-        before=jnp.zeros_like(w.before),
+    motion = drive.motion._replace(u=jnp.zeros_like(drive.motion.u))
+    return motion, w._replace(
+        P_a1=jnp.asarray(P_1(w.t)), P_a2=jnp.asarray(P_2(w.t)), u=jnp.zeros_like(w.u)
     )
 
 
 @pytest.mark.parametrize("leak", [0.0, LEAK])
 def test_it_is_the_displacement_at_which_the_balance_would_hold(rig, drive, leak):
     made = drive(substeps=2, jitter=0.2)
-    w = windows(made)
+    motion, w = windows(made)
     own = add(rig, [EFFECTS["internal_leakage"](c_il=leak)])
-    got = np.array(imbalance(own, w))
+    got = np.array(imbalance(own, motion, w))
     half = GEOMETRY["chamber_length"] / 2
     t, area = np.asarray(w.t), GEOMETRY["area"]
     for i, (s, _) in enumerate(CUT):
@@ -55,21 +53,22 @@ def test_it_is_the_displacement_at_which_the_balance_would_hold(rig, drive, leak
 
 def test_a_rod_that_gives_moves_the_piston(rig, drive):
     """As if the encoder had seen the piston's own motion: x + F / k."""
-    w, give = windows(drive(substeps=2)), 2e-7
+    (motion, w), give = windows(drive(substeps=2)), 2e-7
     F = 800.0 * np.sin(40.0 * np.asarray(w.t))
     parts = np.linspace(0.0, 1.0, w.x_fine.shape[-1])
     within = F[:, :-1, None] + parts * np.diff(F, axis=1)[..., None]
     own = add(rig, [EFFECTS["rod_compliance"](give=give)])
-    got = np.array(imbalance(own, w._replace(F=jnp.asarray(F))))
-    want = np.array(imbalance(rig, w._replace(x_fine=w.x_fine + give * within)))
+    got = np.array(imbalance(own, motion, w._replace(F=jnp.asarray(F))))
+    moved = w._replace(x_fine=w.x_fine + give * within)
+    want = np.array(imbalance(rig, motion, moved))
     # The encoder's displacement is what the balance is short of.
     assert np.allclose(got, want, rtol=1e-9, atol=1e-15)
-    assert np.max(np.abs(got - np.array(imbalance(rig, w)))) > 1e-7
+    assert np.max(np.abs(got - np.array(imbalance(rig, motion, w)))) > 1e-7
 
 
 def test_the_openings_are_those_of_the_command(rig, drive):
     """A dead band and a delay of two ticks, by hand."""
-    w = drive().windows
+    motion = drive().motion
     own = add(
         rig,
         [
@@ -77,8 +76,7 @@ def test_the_openings_are_those_of_the_command(rig, drive):
             EFFECTS["valve_deadband"](u_dbp=0.1, u_dbn=0.2),
         ],
     )
-    up, down = (np.asarray(o).T for o in openings(own, w))
-    late = np.concatenate([w.before, w.u], axis=1)[:, w.before.shape[1] - 2 :]
-    late = late[:, : up.shape[1]]
+    up, down = map(np.asarray, openings(own, motion))
+    late = np.pad(motion.u, ((0, 0), (2, 0)), mode="edge")[:, : up.shape[1]]
     assert np.allclose(up, np.maximum(late - 0.1, 0), atol=1e-12)
     assert np.allclose(down, np.maximum(-late - 0.2, 0), atol=1e-12)

@@ -9,14 +9,15 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root_scalar
 
 from hydrojax.effects import EFFECTS
-from hydrojax.identify.preparation.windows import MOST_AHEAD
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant import stretch
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.replay import (
+    STRETCH,
     before_filters,
     friction_memory,
     line_start,
+    opened_in,
     openings,
     pressures,
     readings,
@@ -37,7 +38,7 @@ def replay(rig, log):
     """What the sensors read, [W, T, 3]."""
     motion, w, P_0 = log
     past = friction_memory(rig, motion).within(w)
-    return readings(rig, w, *pressures(rig, w, P_0), past)
+    return readings(rig, w, *pressures(rig, motion, w, P_0), past)
 
 
 # -- the one step --
@@ -58,7 +59,7 @@ def by_steps(rig, log):
     """The step scanned over each window, [W, lead+T-1, 3], from its first tick."""
     motion, w, P_0 = log
     ticks = w.u.shape[1]
-    P = pressures(rig, w, P_0)
+    P = pressures(rig, motion, w, P_0)
     past = friction_memory(rig, motion)
     silent = eqx.tree_at(
         lambda r: [r.sensor_P, r.sensor_F],
@@ -82,20 +83,20 @@ def by_steps(rig, log):
         read = ((w.P_a1, w.P_a2)[i][:, 0], w.dP[:, 0, i, 0])
         return (*memories, channels[-1].resume(first, slope, read)[0])
 
-    memory, _ = jax.lax.scan(
-        lambda m, tick: rig.command_step(m, *tick),
-        rig.command_init(w.before[:, 0]),
-        (w.before.T, w.before_h.T),
+    _, memories = jax.lax.scan(
+        lambda m, tick: (rig.command_step(m, *tick)[0], m),
+        rig.command_init(motion.u[:, 0]),
+        (motion.u[:, :-1].T, motion.h.T),
     )
     state = State(
-        command=memory,
+        command=jax.tree.map(lambda a: a[w.first, w.seg], memories),
         P=(P_0[:, 0], P_0[:, 1]),
         z=past.z[w.seg, w.first],
         speed=past.speed[w.seg, w.first],
         sensor_P=tuple(gauge(i) for i in range(2)),
         sensor_F=sensors(rig.sensor_F, true[..., 2]),
         lacking=(0 * P_0[:, 0], 0 * P_0[:, 1]),
-        line=line_start(rig, w, openings(rig, w)),
+        line=line_start(rig, w, opened_in(rig, openings(rig, motion), w)),
         slips=tuple(slip[w.seg, w.first] for slip in past.slips),
     )
     index = w.seg[:, None], w.first[:, None] + jnp.arange(1, ticks)
@@ -136,16 +137,14 @@ def test_steps_give_what_the_pieces_give(rig, drive, dress, substeps):
 @pytest.mark.parametrize("others", [{}, {"valve_lag": 2e-3, "valve_hysteresis": 0.1}])
 def test_a_late_command_is_an_earlier_one(rig, drive, ticks, others):
     """By whole ticks: the command's columns are moved, held at the first."""
-    _, w, P_0 = arrays(drive())
+    motion, w, P_0 = arrays(drive())
     path = [EFFECTS[name](value) for name, value in others.items()]
     rest = add(rig, path)
     late = add(rig, [EFFECTS["valve_delay"](ticks * 1e-3), *path])
-    pre = w.before.shape[1]
-    u = np.concatenate([w.before, w.u], axis=1)
-    moved = u[:, np.maximum(np.arange(u.shape[1]) - ticks, 0)]
-    earlier = w._replace(before=moved[:, :pre], u=moved[:, pre:])
+    moved = motion.u[:, np.maximum(np.arange(motion.u.shape[1]) - ticks, 0)]
+    earlier = motion._replace(u=moved)
     for got, wanted in zip(
-        pressures(late, w, P_0), pressures(rest, earlier, P_0), strict=True
+        pressures(late, motion, w, P_0), pressures(rest, earlier, w, P_0), strict=True
     ):
         assert np.allclose(got, wanted, rtol=0, atol=1e-3)  # Pa, of 7 MPa
 
@@ -226,8 +225,8 @@ CHAMBERED = [
 
 def pressure_errors(rig, drive, truth, substeps):
     """Greatest error relative to the pressure, over windows, ticks and chambers."""
-    _, w, P_0 = arrays(drive(substeps, jitter=0.05))
-    got = np.stack(jax.jit(pressures)(rig, w, P_0), axis=-1)
+    log = arrays(drive(substeps, jitter=0.05))
+    got = np.stack(jax.jit(pressures)(rig, *log), axis=-1)
     return np.max(np.abs(got / truth - 1))
 
 
@@ -350,8 +349,8 @@ def operated(n, h):
 
 
 @pytest.mark.parametrize(("r_v", "most"), [(1.0, 5e-3), (2.0, 2e-3), (5.0, 2e-3)])
-def test_windows_see_what_a_slow_spool_remembers(rig, drive, r_v, most):
-    h, omega, zeta, T = 0.01, 40.0, 0.8, 40
+def test_stretches_see_what_a_slow_spool_remembers(rig, drive, r_v, most):
+    h, omega, zeta = 0.01, 40.0, 0.8
     u = operated(6000, h)
     place = slewed(u, h, omega, zeta, r_v)
     slow = add(rig, [EFFECTS["valve_lag"](), EFFECTS["valve_rate_limit"]()])
@@ -360,14 +359,9 @@ def test_windows_see_what_a_slow_spool_remembers(rig, drive, r_v, most):
         ["valve_lag.tau", "valve_lag.zeta", "valve_rate_limit.slew"],
         [1 / omega, zeta, 1 / r_v],
     )
-    first = np.arange(MOST_AHEAD, 5900, 47)[:, None]
-    before = first + np.arange(-MOST_AHEAD, 0)
-    here = first + np.arange(T + 1)
-    w = drive().windows._replace(
-        before=u[before], before_h=np.full(before.shape, h),
-        u=u[here], h=np.full(here.shape, h),
-    )  # fmt: skip
-    up, down = openings(slow, w)
-    got = np.asarray(up - down).T
-    ends = place[first + np.arange(-1, T)]
-    assert np.max(np.abs(got - (ends[:, 1:] + ends[:, :-1]) / 2)) < most
+    motion = drive().motion._replace(u=u[None], h=np.full((1, len(u) - 1), h))
+    up, down = openings(slow, motion)
+    got = np.asarray(up - down)[0]
+    ends = np.append(u[0], place[:-1])
+    off = np.abs(got - (ends[1:] + ends[:-1]) / 2)
+    assert len(off) > 3 * STRETCH and np.max(off) < most

@@ -1,0 +1,339 @@
+"""The pressures of windows, and how each direction moves them.
+
+The spool's opening is had once for all windows. From there on a substep of the
+pressures depends on much and gives two numbers, more where something stands in the
+lines. So its derivatives are taken backward, by all that moves it at once, and carried
+on from substep to substep. They are combined along the directions at the end, so that
+the cost of a fit hardly grows with its columns.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hydrojax.identify.estimation.columns import (
+    NUISANCE,
+    READINGS,
+    SUPPLY_BLOCKS,
+    Basis,
+    Batch,
+    ParametricRig,
+)
+from hydrojax.parameters import get, put
+from hydrojax.plant.chambers import refilled
+from hydrojax.plant.hydraulics import pressure_step
+from hydrojax.plant.places import flow_names, gauge_names, opening_names
+from hydrojax.plant.replay import (
+    Motion,
+    Opened,
+    at_start,
+    before_filters,
+    line_start,
+    opened_in,
+    openings,
+    tick_inputs,
+)
+from hydrojax.plant.rig import Rig
+from hydrojax.plant.scan import scan_in_blocks
+from hydrojax.plant.state import StepInput
+
+
+class Spool(NamedTuple):
+    """The spool's opening over whole segments, and how it moves.
+
+    Attributes:
+        now: the opening, as `openings` has it, [S, N-1] each.
+        by: its derivatives by some of `opening_names`, on a first axis.
+        along: how the directions move those, [moved, k_1].
+    """
+
+    now: Opened
+    by: Opened
+    along: Float[Array | np.ndarray, "moved columns"]
+
+
+def openings_by(
+    model: ParametricRig,
+    values: Float[Array | np.ndarray, "n"],
+    moves: Float[Array | np.ndarray, "moved names"],
+    motion: Motion,
+) -> tuple[Opened, Opened]:
+    """The spool's opening over whole segments, and its derivatives along each of some
+    moves of `opening_names`, on a first axis.
+    """
+    here = put(model.rig, model.names, values)
+    names = opening_names(here)
+    if not names:
+        now = openings(here, motion)
+        return now, tuple(jnp.zeros((0, *o.shape)) for o in now)
+    at = get(here, names)
+
+    def along(move):
+        return jax.jvp(
+            lambda of: openings(put(here, names, of), motion), (at,), (move,)
+        )
+
+    return jax.vmap(along, out_axes=(None, 0))(jnp.asarray(moves))
+
+
+def rows_of(
+    model: ParametricRig, hydraulic: Float[Array | np.ndarray, "n_1 k"]
+) -> Float[Array | np.ndarray, "names k"]:
+    """How the directions move `opening_names`."""
+    names = opening_names(model.rig)
+    return hydraulic[np.array([model.names.index(n) for n in names], int)]
+
+
+class Pressures(NamedTuple):
+    """Both pressures (Pa), and their derivatives along k_1 hydraulic directions and
+    each of the windows' own unknowns (`NUISANCE`).
+    """
+
+    P: tuple[Float[Array, "windows ticks"], Float[Array, "windows ticks"]]
+    by: tuple[Float[Array, "k windows ticks"], Float[Array, "k windows ticks"]]
+
+
+def driven_pressures(
+    model: ParametricRig,
+    values: Float[Array, "n"],
+    directions: Basis,
+    batch: Batch,
+    spool: Spool | None,
+) -> Pressures:
+    """The pressures along the hydraulic directions, the two initial pressures (per
+    Pa), and the supply's error in each block (per standard deviation of its mean); what
+    the sensors read at first moves none.
+
+    Without a `spool` they are the log's, and nothing moves them.
+    """
+    w, k = batch.windows, directions.hydraulic.shape[1]
+    if spool is None:
+        still = jnp.zeros((k + NUISANCE, *w.P_a1.shape))
+        return Pressures((w.P_a1, w.P_a2), (still, still))
+    n = model.hydraulic
+    rig = put(model.rig, model.names[:n], values[:n])
+    sources = _Sources.of(model, rig, directions, spool)
+    P, by = _run(rig, batch, sources, spool)
+    own = slice(sources.spool, sources.spool + OWN)
+    # Two large products, not one for each tick.
+    rest = jnp.concatenate([by[:, : own.start], by[:, own.stop :]], axis=1)
+    combined = jnp.einsum("sk,pswt->pkwt", sources.along, rest)
+    still = jnp.zeros((2, READINGS, *by.shape[2:]))
+    by = jnp.concatenate([combined, by[:, own], still], axis=1)
+    return Pressures((P[0], P[1]), (by[0], by[1]))
+
+
+OWN = 2 + SUPPLY_BLOCKS
+"""What each window has of its own that moves its pressures."""
+
+
+class _Sources(NamedTuple):
+    """What pressures are moved by, in this order: the spool's moves, what each window
+    has of its own, parameters of the logger, and those of the flows.
+
+    Attributes:
+        spool: how many moves the spool has.
+        logger: names.
+        flow: names.
+        along: how the directions move all but the windows' own.
+    """
+
+    spool: int
+    logger: tuple[str, ...]
+    flow: tuple[str, ...]
+    along: Float[Array, "sources k"]
+
+    @classmethod
+    def of(
+        cls, model: ParametricRig, rig: Rig, directions: Basis, spool: Spool
+    ) -> _Sources:
+        """Nothing but the windows' own where there are no directions."""
+        moves, names = len(spool.along), model.names[: model.hydraulic]
+        if not directions.hydraulic.shape[1]:
+            return cls(moves, (), (), jnp.zeros((moves, 0)))
+        gauges = gauge_names(rig)
+        logger = tuple(name for name in names if name in gauges)
+        flow = flow_names(rig)
+        rows = np.array([names.index(name) for name in (*logger, *flow)], int)
+        along = [jnp.asarray(spool.along), directions.hydraulic[rows]]
+        return cls(moves, logger, flow, jnp.concatenate(along))
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return self.spool + OWN + len(self.logger) + len(self.flow)
+
+    @property
+    def of_supply(self) -> slice:
+        """Those that move the supply's pressure."""
+        return slice(self.spool, self.count - len(self.flow))
+
+
+def _run(
+    rig: Rig, batch: Batch, sources: _Sources, spool: Spool
+) -> tuple[Float[Array, "2 windows ticks"], Float[Array, "2 sources windows ticks"]]:
+    """Both pressures, and their derivatives by each of the sources."""
+    w = batch.windows
+    opened = opened_in(rig, spool.now, w)
+    opened_by = opened_in(rig, spool.by, w)
+    (P_s, begun), (P_s_by, begun_by) = _begin(rig, batch, sources, opened, opened_by)
+
+    inputs = tick_inputs(rig, w, P_s)
+    ticks = len(inputs.h)
+    own = tuple(o[-ticks:] for o in opened)
+    own_by = tuple(jnp.moveaxis(o[:, -ticks:], 1, 0) for o in opened_by)
+    P_s_by = jnp.moveaxis(P_s_by[sources.of_supply], -1, 0)
+    parts = (inputs.x.shape[-1] - 1) // 2
+    leaves, tree = jax.tree.flatten(begun)
+    slopes = jnp.stack(jax.tree.leaves(begun_by))  # [state, sources, W]
+    theta = tuple(get(rig, sources.flow)) if sources.flow else ()
+
+    def substep(carry, given):
+        state, slopes = carry
+        opening, opening_by, supply_by, part = given
+        state, (by_state, by_theta, by_opening, by_supply) = _derived(
+            rig, sources.flow, tree, state, theta, opening, part
+        )
+        moved = sum(b[:, None] * s for b, s in zip(by_state, slopes, strict=True))
+        each = zip(by_opening, opening_by, strict=True)
+        more = [
+            sum(b[:, None] * o for b, o in each),
+            by_supply[0][:, None] * supply_by[0] + by_supply[1][:, None] * supply_by[1],
+            *([jnp.stack(by_theta, axis=1)] if by_theta else []),
+        ]
+        return (state, moved + jnp.concatenate(more, axis=1)), None
+
+    def tick(carry, given):
+        opening, opening_by, supply_by, inputs = given
+        cut = _cut(inputs, parts)
+        ends = jnp.arange(parts + 1) / parts
+        along = supply_by[0] + ends[:, None, None] * (supply_by[1] - supply_by[0])
+        if parts == 1:
+            part = jax.tree.map(lambda a: a[0], cut)
+            carry, _ = substep(carry, (opening, opening_by, along, part))
+        else:
+            carry, _ = jax.lax.scan(
+                lambda c, g: substep(c, (opening, opening_by, *g)),
+                carry,
+                (jnp.stack([along[:-1], along[1:]], axis=1), cut),
+            )
+        (P_1, P_2, *_), slopes = carry
+        full = [jax.jvp(refilled, (P,), (jnp.ones_like(P),)) for P in (P_1, P_2)]
+        P, rise = (jnp.stack(a) for a in zip(*full, strict=True))
+        return carry, (P, slopes[:2] * rise[:, None])
+
+    given = (own, own_by, jnp.stack([P_s_by[:-1], P_s_by[1:]], axis=1), inputs)
+    P, by = scan_in_blocks(tick, (tuple(leaves), slopes), given)
+    P = jnp.concatenate([jnp.stack(leaves[:2])[None], P])
+    by = jnp.concatenate([slopes[None, :2], by])
+    return jnp.moveaxis(P, 0, -1), jnp.moveaxis(by, 0, -1)
+
+
+def _begin(
+    rig: Rig, batch: Batch, sources: _Sources, opened: Opened, opened_by: Opened
+) -> tuple[tuple, tuple]:
+    """The supply's pressure [W, ticks] and the state where the windows begin; and their
+    derivatives by each of the sources, on a first axis.
+    """
+    w, names = batch.windows, (*sources.logger, *sources.flow)
+    ticks = w.P_s.shape[1]
+    block = jnp.arange(ticks) * SUPPLY_BLOCKS // ticks
+    of_mean = batch.supply_noise / np.sqrt(ticks / SUPPLY_BLOCKS)
+    at = get(rig, names) if names else jnp.zeros(0)
+
+    def begin(of, P_shift, supply, opened):
+        here = put(rig, names, of)
+        shown = w._replace(P_s=w.P_s + of_mean * supply[block])
+        P_0 = at_start(here, shown, batch.P_0 + P_shift)
+        P_s = before_filters(here, shown).P_s
+        return P_s, ((P_0[:, 0], P_0[:, 1]), line_start(here, shown, opened))
+
+    def along(e, opened_by):
+        own = e[sources.spool :]
+        moves = (own[OWN:], own[:2], own[2:OWN], opened_by)
+        return jax.jvp(
+            begin, (at, jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS), opened), moves
+        )
+
+    rest = sources.count - sources.spool
+    opened_by = jax.tree.map(
+        lambda a: jnp.pad(a, ((0, rest), *[(0, 0)] * (a.ndim - 1))), opened_by
+    )
+    return jax.vmap(along, out_axes=(None, 0))(jnp.eye(sources.count), opened_by)
+
+
+def _cut(inputs: StepInput, parts: int) -> StepInput:
+    """A tick's inputs cut into those of its substeps, on a first axis."""
+    ends = jnp.arange(parts + 1) / parts
+
+    def between(line):
+        along = line[..., :1] + ends * (line[..., 1:] - line[..., :1])
+        return jnp.stack([jnp.moveaxis(along, -1, 0)[i:][:parts] for i in (0, 1)], -1)
+
+    x = jnp.moveaxis(inputs.x, -1, 0)
+    same = {
+        name: jnp.broadcast_to(a, (parts, *a.shape))
+        for name, a in (
+            ("u", inputs.u),
+            ("v", inputs.v),
+            ("a", inputs.a),
+            ("t", inputs.t),
+        )
+    }
+    return StepInput(
+        h=jnp.broadcast_to(inputs.h / parts, (parts, *inputs.h.shape)),
+        P_s=between(inputs.P_s),
+        P_r=between(inputs.P_r),
+        x=jnp.stack([x[i : i + 2 * parts : 2] for i in range(3)], axis=-1),
+        dx=None,
+        F=None if inputs.F is None else between(inputs.F),
+        **same,
+    )
+
+
+def _derived(
+    rig: Rig,
+    names: tuple[str, ...],
+    tree: Any,
+    state: tuple[Float[Array, "windows"], ...],
+    theta: tuple[Float[Array, ""], ...],
+    opening: tuple[Float[Array, "windows"], ...],
+    inputs: StepInput,
+) -> tuple[tuple, tuple]:
+    """A state after a substep, and its derivatives, [state, W] each, by the state
+    before, by the parameters of these names, by the opening, and by the supply's
+    pressure at both ends.
+
+    Window by window, and every number by itself: arrays of a few numbers a window would
+    be turned over and over.
+    """
+
+    def each(a):
+        return None if a is None else tuple(jnp.moveaxis(a, -1, 0))
+
+    lines = (inputs.P_r, inputs.x, inputs.F)
+    rest = (inputs.h, inputs.u, inputs.v, inputs.a, inputs.t)
+
+    def one(state, theta, opening, P_s, lines, rest):
+        h, u, v, a, t = rest
+        P_r, x, F = (None if b is None else jnp.stack(b) for b in lines)
+
+        def after(state, theta, opening, P_s):
+            P, line = jax.tree.unflatten(tree, state)
+            given = StepInput(h, u, jnp.stack(P_s), P_r, x, None, v, a, t, F)
+            here = put(rig, names, theta)
+            P, line = pressure_step(here, P, opening, given, line)
+            return tuple(jax.tree.leaves((P, line)))
+
+        out, pull = jax.vjp(after, state, theta, opening, P_s)
+        return out, jax.vmap(pull)(tuple(jnp.eye(len(out))))
+
+    given = (opening, each(inputs.P_s), tuple(map(each, lines)), rest)
+    return jax.vmap(one, in_axes=(0, None, 0, 0, 0, 0), out_axes=(0, -1))(
+        state, theta, *given
+    )
