@@ -146,9 +146,10 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
     return Past(z, speed, v, tuple(slips))
 
 
-STRETCH = 256
-"""Ticks of a segment over which the command's path is run in one go, beside the others:
-a few stretches serve a log of minutes, and what is run ahead of each is not much."""
+STRETCH, STRETCHES = 256, 64
+"""Ticks of a segment over which the command's path is run in one go, at least, and how
+many such stretches are run side by side, about: of shorter ones what is run ahead of
+each is most of the work."""
 
 STEPS, SLOW_STEPS = ((60, 1), (260, 5)), ((60, 1), (260, 2), (960, 7))
 """How many ticks ahead of a stretch the command's path is run in steps of how many:
@@ -166,11 +167,20 @@ ten to fill or empty."""
 Opened = tuple[Float[Array, "..."], ...]
 """The spool's opening over ticks, as `Point` has it."""
 
+
+class Cut(NamedTuple):
+    """Stretches of the same length: their segments, first ticks, and how long."""
+
+    seg: Int[Array | np.ndarray, "stretches"]
+    first: Int[Array | np.ndarray, "stretches"]
+    size: int
+
+
 Held = tuple[Float[Array, "steps stretches parts"], Float[Array, "steps stretches"]]
 """The command's mean over the parts of each step, and the steps' lengths, s."""
 
 
-def _commands(rig: Rig, motion: Motion) -> tuple[Rig, Held, Held]:
+def _commands(rig: Rig, motion: Motion, cut: Cut) -> tuple[Rig, Held, Held]:
     """The command ahead of the stretches and in them, as late as it comes.
 
     With it the rig without what makes it late: what stands after a delay does not care
@@ -181,8 +191,10 @@ def _commands(rig: Rig, motion: Motion) -> tuple[Rig, Held, Held]:
     rig = eqx.tree_at(lambda r: r.command, rig, rest, is_leaf=_is_tuple)
     slow = any(isinstance(c, SpoolLimit) for c in rig.command)
     steps = SLOW_STEPS if slow else STEPS
-    u, h = _stretches(motion, steps[-1][0])
-    pre, ticks = steps[-1][0], h.shape[1]
+    pre, ticks = steps[-1][0], steps[-1][0] + cut.size
+    index = cut.first[:, None] + np.arange(-pre, cut.size)
+    index = jnp.clip(index, 0, motion.h.shape[1] - 1)
+    u, h = (a[cut.seg[:, None], index] for a in (motion.u, motion.h))
     edges, near = _edges(pre, ticks, steps), pre - steps[0][0]
     t, area = (jnp.pad(jnp.cumsum(a, axis=1), ((0, 0), (1, 0))) for a in (h, u * h))
     step = jnp.diff(t[:, edges], axis=1)
@@ -200,21 +212,6 @@ def _commands(rig: Rig, motion: Motion) -> tuple[Rig, Held, Held]:
     goal, step = jnp.moveaxis(goal, 1, 0), step.T
     ahead = len(edges) - 1 - (ticks - pre)
     return rig, (goal[:ahead], step[:ahead]), (goal[ahead:], step[ahead:])
-
-
-def _stretches(
-    motion: Motion, pre: int
-) -> tuple[Float[Array, "stretches ticks"], Float[Array, "stretches ticks"]]:
-    """Command and ticks of the segments' stretches, each with `pre` ticks ahead of it.
-
-    Those of a segment follow each other.
-    """
-    ticks = motion.h.shape[1]
-    size = min(STRETCH, ticks)
-    first = np.arange(0, ticks, size)[:, None]
-    index = np.clip(first + np.arange(-pre, size), 0, ticks - 1)
-    u, h = motion.u[:, index], motion.h[:, index]
-    return u.reshape(-1, pre + size), h.reshape(-1, pre + size)
 
 
 def _edges(
@@ -258,12 +255,13 @@ def _through(
     return memory, mean_opening(us)
 
 
-def openings(rig: Rig, motion: Motion) -> Opened:
+def openings(rig: Rig, motion: Motion, cut: Cut | None = None) -> Opened:
     """The spool's opening over each tick of the segments, [S, N-1], as `Point` has it;
-    once for all windows.
+    or over those of a cut alone, [stretches, size].
     """
     segments, ticks = motion.h.shape
-    rig, ahead, held = _commands(rig, motion)
+    own = _whole(segments, ticks) if cut is None else cut
+    rig, ahead, held = _commands(rig, motion, own)
 
     def warm(memory, held):
         return _through(rig, memory, *held)[0], None
@@ -273,8 +271,36 @@ def openings(rig: Rig, motion: Motion) -> Opened:
 
     memory = rig.command_init(ahead[0][0][..., 0])
     memory, _ = jax.lax.scan(warm, memory, ahead)
-    opened = scan_in_blocks(follow, memory, held)
-    return tuple(o.T.reshape(segments, -1)[:, :ticks] for o in opened)
+    opened = tuple(o.T for o in scan_in_blocks(follow, memory, held))
+    if cut is not None:
+        return opened
+    return tuple(o.reshape(segments, -1)[:, :ticks] for o in opened)
+
+
+def _whole(segments: int, ticks: int) -> Cut:
+    """Stretches that make up all segments, those of each behind each other."""
+    size = min(max(STRETCH, -(-segments * ticks // STRETCHES)), ticks)
+    first = np.arange(0, ticks, size)
+    seg = np.repeat(np.arange(segments), len(first))
+    return Cut(seg, np.tile(first, segments), size)
+
+
+def cut_of(rig: Rig, motion: Motion, w: Windows) -> tuple[Cut | None, Windows]:
+    """A cut of the ticks that some windows are run over, where these are few, and the
+    windows as they lie in it; else None, and the windows as they are.
+
+    As `opened_in` reads them, and nothing else: friction follows whole segments.
+    """
+    ahead, ticks = _ahead(rig, w), w.x_fine.shape[1]
+    if len(w.first) * (ticks + SETTLED) > motion.h.size:
+        return None, w
+    cut = Cut(w.seg, w.first - ahead, ticks + ahead)
+    return cut, w._replace(seg=np.arange(len(w.seg)), first=0 * w.first + ahead)
+
+
+def _ahead(rig: Rig, w: Windows) -> int:
+    """Ticks ahead of windows that the lines are followed over, where there are any."""
+    return min(IN_LINES, w.P_before.shape[1]) if rig.line else 0
 
 
 def opened_in(rig: Rig, opened: Opened, w: Windows) -> Opened:
@@ -282,8 +308,7 @@ def opened_in(rig: Rig, opened: Opened, w: Windows) -> Opened:
 
     Where something stands in the lines, over `IN_LINES` ticks ahead of them too.
     """
-    ahead = min(IN_LINES, w.P_before.shape[1]) if rig.line else 0
-    at = w.first[:, None] + jnp.arange(-ahead, w.x_fine.shape[1])
+    at = w.first[:, None] + jnp.arange(-_ahead(rig, w), w.x_fine.shape[1])
     at = jnp.clip(at, 0).T
     return tuple(o[..., w.seg, at] for o in opened)
 

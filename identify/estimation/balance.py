@@ -29,14 +29,13 @@ from hydrojax.identify.estimation.columns import (
     thinned,
 )
 from hydrojax.identify.estimation.drive import Spool
-from hydrojax.identify.estimation.memory import spool_of
 from hydrojax.identify.estimation.pieces import Span, at_once, in_pieces
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.starts import placed
 from hydrojax.parameters import put
 from hydrojax.plant.imbalance import imbalance_behind
 from hydrojax.plant.places import opening_names
-from hydrojax.plant.replay import opened_in
+from hydrojax.plant.replay import cut_of, opened_in
 from hydrojax.programs.compiled import program_of_pytrees
 
 Values = Float[np.ndarray, "n"]
@@ -148,7 +147,9 @@ def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
     directions = basis(model, free, slots).hydraulic
     full = jax.tree.map(jnp.asarray, filled(problem.batch, problem.least))
     weight = jnp.asarray(_weight(problem.batch))
-    spool = spool_of(model, at, np.asarray(directions), full.motion)
+    cut, windows = cut_of(model.rig, full.motion, full.windows)
+    spool = problem.spool(model, at, np.asarray(directions), full, cut)
+    full = full._replace(windows=jax.tree.map(jnp.asarray, windows))
 
     def part(first: np.int32, end: np.int32) -> np.ndarray:
         handfuls = Span(first, end)

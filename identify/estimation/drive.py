@@ -29,6 +29,7 @@ from hydrojax.plant.chambers import refilled
 from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.places import flow_names, gauge_names, opening_names
 from hydrojax.plant.replay import (
+    Cut,
     Motion,
     Opened,
     at_start,
@@ -62,20 +63,21 @@ def openings_by(
     values: Float[Array | np.ndarray, "n"],
     moves: Float[Array | np.ndarray, "moved names"],
     motion: Motion,
+    cut: Cut | None = None,
 ) -> tuple[Opened, Opened]:
-    """The spool's opening over whole segments, and its derivatives along each of some
-    moves of `opening_names`, on a first axis.
+    """The spool's opening over whole segments, or over a cut of them, and its
+    derivatives along each of some moves of `opening_names`, on a first axis.
     """
     here = put(model.rig, model.names, values)
     names = opening_names(here)
     if not names:
-        now = openings(here, motion)
+        now = openings(here, motion, cut)
         return now, tuple(jnp.zeros((0, *o.shape)) for o in now)
     at = get(here, names)
 
     def along(move):
         return jax.jvp(
-            lambda of: openings(put(here, names, of), motion), (at,), (move,)
+            lambda of: openings(put(here, names, of), motion, cut), (at,), (move,)
         )
 
     return jax.vmap(along, out_axes=(None, 0))(jnp.asarray(moves))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,9 +23,9 @@ from hydrojax.identify.estimation.columns import (
     slot_names,
 )
 from hydrojax.identify.estimation.coupled import agreed, stretched
-from hydrojax.identify.estimation.drive import Spool, rows_of
+from hydrojax.identify.estimation.drive import Spool
 from hydrojax.identify.estimation.known import Free, Known, prior_rows
-from hydrojax.identify.estimation.memory import recall_all, spool_of
+from hydrojax.identify.estimation.memory import Store, recalled, spool_of
 from hydrojax.identify.estimation.misfit import (
     START_SPREAD,
     Sums,
@@ -35,15 +34,12 @@ from hydrojax.identify.estimation.misfit import (
     run_sums,
 )
 from hydrojax.identify.estimation.pieces import on_all_cores
-from hydrojax.identify.estimation.sensitivity import (
-    Recalled,
-    memory_along,
-    memory_names,
-)
+from hydrojax.identify.estimation.sensitivity import Recalled
 from hydrojax.identify.estimation.solve import Fit, minimise_step_by_step
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.plant.places import gauge_names, opening_names
+from hydrojax.plant.places import gauge_names
+from hydrojax.plant.replay import Cut
 from hydrojax.plant.rig import Rig
 
 SPARE = ((2, 3), (4, 9), (8, 20), (16, 40))
@@ -55,11 +51,7 @@ SPARE_OF_PRESSURES = ((4, 3), (8, 9), (16, 20), (16, 40))
 program takes longer to compile than all fits of a trace save by fewer columns."""
 
 KEPT = 4
-"""Values for which a problem keeps the residuals, what friction remembers, and where
-the spool stands."""
-
-SMALL = 2**26
-"""Bytes of what is remembered that are kept: logs of minutes, not of hours."""
+"""Values for which a problem keeps the residuals."""
 
 PRESSURES = np.array([True, True, False])
 """Which channels are pressures."""
@@ -92,9 +84,7 @@ class Problem:
     _summed: dict[bytes, Sums] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    _common: dict[bytes, Any] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
+    _common: Store = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
     def of(
@@ -246,10 +236,10 @@ class Problem:
         """Residuals [W, T, 3], and how far off the initial pressures are, [W, 2]."""
         model, at = self.model.acting(values)
         full = self._filled(batch)
-        recalled = self._recall(model, at, None, batch, full)
+        common = self._recall(model, at, None, batch, full)
 
         def run(*pieces):
-            return run_leftover(model, at, full, recalled, *pieces)
+            return run_leftover(model, at, full, common, *pieces)
 
         return self._real(on_all_cores(run, full))
 
@@ -262,11 +252,11 @@ class Problem:
         full: Batch,
     ) -> Sums:
         """The windows' sums of a batch; `full` is what it is filled up to."""
-        recalled = self._recall(model, values, directions, batch, full)
+        common = self._recall(model, values, directions, batch, full)
         at = jnp.asarray(values)
 
         def run(*pieces):
-            return run_sums(model, at, directions, full, recalled, *pieces)
+            return run_sums(model, at, directions, full, common, *pieces)
 
         real = len(batch.P_0)
         return jax.tree.map(lambda a: a[:real], on_all_cores(run, full))
@@ -279,47 +269,24 @@ class Problem:
         batch: Batch,
         full: Batch,
     ) -> Recalled:
-        """What all windows of a batch have in common; kept for the values of the last
-        few calls, which often differ in nothing that it depends on.
-
-        What friction remembers only of the problem's own motion: where something gives
-        it is run under other forces, too.
+        """What all windows of a batch have in common; what friction remembers is kept
+        of the problem's own motion only: where something gives it is run under other
+        forces, too.
         """
-        along = hydraulic = None
-        if directions is not None:
-            along = np.asarray(memory_along(model, directions))
-            hydraulic = np.asarray(directions.hydraulic)
+        own = self._common if batch.motion is self.batch.motion else {}
+        stores = (own, self._common)
+        return recalled(model, values, directions, full.motion, self.simulate, stores)
 
-        def kept(make: Callable, names: Sequence[str], moves: Array | None) -> Any:
-            own = np.asarray(values)[[model.names.index(n) for n in names]]
-            text = b"" if moves is None else np.asarray(moves).tobytes()
-            return self._kept(make.__name__.encode() + own.tobytes() + text, make)
-
-        def friction() -> tuple:
-            return recall_all(model, values, along, full.motion)
-
-        def spool() -> Spool:
-            return spool_of(model, values, hydraulic, full.motion)
-
-        if batch.motion is self.batch.motion:
-            found = kept(friction, memory_names(model.rig), along)
-        else:
-            found = friction()
-        if not self.simulate:
-            return Recalled(*found, None)
-        rows = None if hydraulic is None else rows_of(model, hydraulic)
-        return Recalled(*found, kept(spool, opening_names(model.rig), rows))
-
-    def _kept(self, key: bytes, make: Callable[[], Any]) -> Any:
-        """What is kept under a key, or what is made and kept, if it is not too much."""
-        found = self._common.get(key)
-        if found is None:
-            found = make()
-            if sum(a.nbytes for a in jax.tree.leaves(found)) < SMALL:
-                self._common[key] = found
-            for old in list(self._common)[: -2 * KEPT]:
-                self._common.pop(old, None)
-        return found
+    def spool(
+        self,
+        model: ParametricRig,
+        values: Float[Array | np.ndarray, "n"],
+        hydraulic: Float[np.ndarray, "n_1 k"],
+        full: Batch,
+        cut: Cut | None,
+    ) -> Spool:
+        """Where the command has the spool, as `spool_of` has it; kept."""
+        return spool_of(model, values, hydraulic, full.motion, self._common, cut)
 
     def _begin(self, values: np.ndarray) -> tuple[Batch, np.ndarray]:
         """The batch with its windows' initial pressures found, and the residuals.
@@ -388,8 +355,8 @@ class Problem:
         batch = self.batch
         full = self._filled(batch)
         model, at = self.model.acting(values)
-        opened = self._recall(model, at, None, batch, full).spool.now
-        P = self._real(run_pressures(model, at, full, opened))
+        spool = spool_of(model, at, None, full.motion, self._common)
+        P = self._real(run_pressures(model, at, full, spool.now))
         windows = batch.windows._replace(P_a1=P[0], P_a2=P[1])
         return replace(self, batch=batch._replace(windows=windows), simulate=False)
 

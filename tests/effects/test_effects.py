@@ -21,11 +21,9 @@ from hydrojax.identify.estimation.columns import (
     basis,
 )
 from hydrojax.identify.estimation.drive import driven_pressures
-from hydrojax.identify.estimation.memory import recall_all, spool_of
+from hydrojax.identify.estimation.memory import recalled
 from hydrojax.identify.estimation.sensitivity import (
     SLOPE_SPREAD,
-    Recalled,
-    memory_along,
     sensitivities,
 )
 from hydrojax.parameters import get, parameter_specs, put, specs
@@ -643,19 +641,16 @@ def batch(log):
 
 def moved(model, values, directions, b, simulate):
     """Predictions and columns, as a fit makes them."""
-    along, at = np.asarray(memory_along(model, directions)), np.asarray(values)
-    spool = None
-    if simulate:
-        spool = spool_of(model, at, np.asarray(directions.hydraulic), b.motion)
-    recalled = Recalled(*recall_all(model, at, along, b.motion), spool)
+    at = np.asarray(values)
+    common = recalled(model, at, directions, b.motion, simulate, ({}, {}))
 
     @program
-    def run(values, b, recalled):
-        pressure = driven_pressures(model, values, directions, b, recalled.spool)
-        own = (directions, b.windows, pressure, recalled)
+    def run(values, b, common):
+        pressure = driven_pressures(model, values, directions, b, common.spool)
+        own = (directions, b.windows, pressure, common)
         return sensitivities(model, values, *own)
 
-    return [np.asarray(out) for out in run(values, b, recalled)]
+    return [np.asarray(out) for out in run(values, b, common)]
 
 
 @pytest.fixture(scope="module")

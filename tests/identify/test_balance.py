@@ -25,10 +25,10 @@ from hydrojax.identify.estimation.balance import (
 from hydrojax.identify.estimation.columns import basis, filled, thinned
 from hydrojax.identify.estimation.fit import FitPoint, fit_pressures
 from hydrojax.identify.estimation.known import free_effect, free_parameters
-from hydrojax.identify.estimation.misfit import recall_all, run_sums
+from hydrojax.identify.estimation.memory import recalled
+from hydrojax.identify.estimation.misfit import run_sums
 from hydrojax.identify.estimation.pieces import Span
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.estimation.sensitivity import memory_along
 from hydrojax.identify.preparation import data as preparation
 from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs
@@ -185,10 +185,9 @@ def test_lines_in_which_nothing_stands_are_left_out(machine):
 
     def summed(model, values):
         directions = basis(model, free, slots)
-        along = np.asarray(memory_along(model, directions))
-        recalled = recall_all(model, values, along, batch.motion)
+        common = recalled(model, values, directions, batch.motion, True, ({}, {}))
         whole = (len(batch.P_0), Span(0, 1))
-        return run_sums(model, values, directions, batch, True, recalled, *whole)
+        return run_sums(model, values, directions, batch, common, *whole)
 
     ours, whole = summed(lean, np.asarray(at)), summed(model, np.asarray(values))
     for a, b in zip(ours, whole, strict=True):

@@ -12,11 +12,9 @@ import pytest
 
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
-from hydrojax.identify.estimation import misfit, pieces
-from hydrojax.identify.estimation import problem as problems
+from hydrojax.identify.estimation import memory, misfit, pieces
 from hydrojax.identify.estimation.columns import Batch, basis, room_of, thinned
 from hydrojax.identify.estimation.fit import fit_all, in_short
-from hydrojax.identify.estimation.misfit import recall_all
 from hydrojax.identify.estimation.pieces import (
     PIECE,
     PIECES,
@@ -27,6 +25,8 @@ from hydrojax.identify.estimation.pieces import (
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
 from hydrojax.jax_setup import bucket
+from hydrojax.parameters import put
+from hydrojax.plant.replay import cut_of, opened_in, openings
 
 MISSING, OTHER = "internal_leakage", "valve_bias"
 
@@ -185,7 +185,7 @@ def test_what_friction_remembers_is_kept_of_the_log_s_motion_only(leaking):
     motion = problem.batch.motion
     pulled = problem.batch._replace(motion=motion._replace(F=2 * np.asarray(motion.F)))
     own = problem._left(values, problem.batch)[0]
-    assert problem._recalled  # what it found is kept
+    assert problem._common  # what it found is kept
     under = problem._left(values, pulled)[0]
     fresh = replace(problem, batch=pulled)._left(values, pulled)[0]
     np.testing.assert_array_equal(under, fresh)
@@ -194,20 +194,46 @@ def test_what_friction_remembers_is_kept_of_the_log_s_motion_only(leaking):
 
 
 def test_it_is_kept_while_nothing_that_it_depends_on_changes(leaking, monkeypatch):
-    runs = []
+    runs = {"run_recall": 0, "run_openings_by": 0}
 
-    def counted(*given):
-        runs.append(given)
-        return recall_all(*given)
+    def counted(name, run):
+        def call(*given):
+            runs[name] += 1
+            return run(*given)
 
-    monkeypatch.setattr(problems, "recall_all", counted)
-    problem = replace(api._problems(leaking, [])[0])
+        return call
+
+    for name in runs:
+        monkeypatch.setattr(memory, name, counted(name, getattr(memory, name)))
+    problem = api._problems(leaking, ["valve_lag"])[0]
     values, names = problem.initial_values(), problem.model.names
-    for name, counts in (("k_cp", 1), ("beta", 1), ("z_ss", 2), ("L_rate", 3)):
+    changes = [
+        ("k_cp", (1, 1)), ("beta", (1, 1)), ("z_ss", (2, 1)), ("valve_lag.tau", (2, 2)),
+        ("L_rate", (3, 2)),
+    ]  # fmt: skip
+    for name, counts in changes:
         values = values.copy()
-        values[names.index(name)] *= 1.1
+        values[names.index(name)] += 0.1 * problem.model.scale[names.index(name)]
         problem.sums_at(values)
-        assert len(runs) == counts, name
+        assert tuple(runs.values()) == counts, name
+    problem._left(values, problem.batch)  # asks for no derivative of what is there
+    assert tuple(runs.values()) == counts
+
+
+def test_a_cut_has_the_opening_that_the_whole_has(leaking):
+    """Windows by themselves, as balances of a few are run, and in their segments."""
+    problem = api._problems(leaking, ["valve_lag", "valve_delay"])[0]
+    model, batch = problem.model, problem.batch
+    rig = put(model.rig, ["valve_lag.tau", "valve_delay.tau_u"], [3e-3, 4.3e-3])
+    few = thinned(batch, 5).windows
+    cut, own = cut_of(rig, batch.motion, few)
+    assert cut is not None and cut_of(rig, batch.motion, batch.windows)[0] is None
+    alone = opened_in(rig, openings(rig, batch.motion, cut), own)
+    whole = opened_in(rig, openings(rig, batch.motion), few)
+    for a, b in zip(alone, whole, strict=True):
+        # What is run ahead of them differs: coarse steps, some way back.
+        np.testing.assert_allclose(a, b, atol=1e-6)
+        assert np.ptp(b) > 0.1
 
 
 def test_some_windows_are_taken_where_that_is_much_less_work(leaking):
