@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from hydrojax.identify.estimation.balance import balanced
 from hydrojax.identify.estimation.columns import thinned
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.estimation.solve import ENOUGH
 from hydrojax.identify.estimation.starts import stuck
 from hydrojax.plant.places import gauge_names
 
@@ -68,23 +69,28 @@ def fit_from_balances(
     free: Sequence[str],
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Problem, Float[np.ndarray, "n"]]:
-    """`fit_pressures` from where a fit of the flow balances leads.
+    """`fit_pressures` from where a fit of the flow balances leads, to where all that is
+    free is then fitted from: not as far, for of a model that lacks something the last
+    steps are most of the work.
 
     Where that leaves a parameter at an end of its range, a fit from `values` is made
     too, and the better one kept: balances see little of some (a volume, an opening),
     and may put them where no replay comes back from.
     """
-    few = in_short(problem)
+    few, own = in_short(problem), problem.criteria
     near = balanced(problem, values, free)
-    best = _fit_these_pressures(few, near, free)
+    enough = own.enough_at_first if few is problem else own.enough_in_short
+    best = _fit_these_pressures(few, near, free, enough)
     if near is not values and stuck(problem, best[1], few.side(free, True)):
         progress("fit from the rig file's own values too")
-        other = _fit_these_pressures(few, values, free)
+        other = _fit_these_pressures(few, values, free, enough)
         noise = only(np.asarray(problem.batch.noise), PRESSURES)
         left = [np.sum((p.rms(p.errors_at(v)) / noise) ** 2) for p, v in (best, other)]
         if left[1] < left[0] or not np.isfinite(left[0]):
             best = other
-    return best if few is problem else _fit_these_pressures(problem, best[1], free)
+    if few is problem:
+        return best
+    return _fit_these_pressures(problem, best[1], free, own.enough_at_first)
 
 
 def fit_all(
@@ -158,7 +164,10 @@ def fit_pressures(
 
 
 def _fit_these_pressures(
-    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
+    problem: Problem,
+    values: Float[np.ndarray, "n"],
+    free: Sequence[str],
+    enough: float = ENOUGH,
 ) -> tuple[Problem, Float[np.ndarray, "n"]]:
     """`fit_pressures` on all windows of the problem at once."""
     noise = only(np.asarray(problem.batch.noise), PRESSURES)
@@ -167,7 +176,7 @@ def _fit_these_pressures(
     names = (*own, *(n for n in free if n in gauges and n not in own))
     settled = problem.criteria.pressures_settled * np.min(noise)
     for _ in range(problem.criteria.weight_rounds):
-        values, out = problem.solve(values, names, noise)
+        values, out = problem.solve(values, names, noise, enough)
         problem = problem.restarted(out.also, values)
         if np.median(np.abs(out.also.start[:, :2, -1])) < settled:
             break

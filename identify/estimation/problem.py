@@ -35,7 +35,7 @@ from hydrojax.identify.estimation.misfit import (
 )
 from hydrojax.identify.estimation.pieces import on_all_cores
 from hydrojax.identify.estimation.sensitivity import Recalled
-from hydrojax.identify.estimation.solve import Fit, minimise_step_by_step
+from hydrojax.identify.estimation.solve import ENOUGH, Fit, minimise_step_by_step
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.plant.places import gauge_names
@@ -141,11 +141,12 @@ class Problem:
         values: Float[np.ndarray, "n"],
         free: Sequence[str] | None = None,
         noise: Float[np.ndarray, "3"] | None = None,
+        enough: float = ENOUGH,
     ) -> tuple[Float[np.ndarray, "n"], Fit]:
         """Move `free` from `values` to the best fit; returns all values, and how.
 
-        `noise` replaces the problem's own where a part of the
-        model is fitted by itself.
+        `noise` replaces the problem's own where a part of the model is fitted by
+        itself; `enough` is the share of the cost that a step has to promise.
         """
         free = tuple(self.free if free is None else free)
         slots = self.slots(free)
@@ -176,7 +177,7 @@ class Problem:
             rows = np.concatenate([slope, (slope @ d + away)[:, None]], axis=1)
             return np.sum(there.gram, axis=0) + rows.T @ rows, there
 
-        out = minimise_step_by_step(gram, boxed(lower), boxed(upper))
+        out = minimise_step_by_step(gram, boxed(lower), boxed(upper), enough=enough)
         moved = values.copy()
         step = np.asarray(out.at) * scale
         for i, name in enumerate(columns):

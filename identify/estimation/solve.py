@@ -121,6 +121,7 @@ class _BoxedLM(optx.AbstractGaussNewton):
     rtol: float
     atol: float
     descent: optx.AbstractDescent
+    enough: Float[Array, ""]
     search: optx.AbstractSearch = _Trust(
         # Trust grows sooner than optimistix's own rule lets it: beta and the valve
         # constants are nearly one direction, which heavy damping crosses slowly.
@@ -139,7 +140,8 @@ class _BoxedLM(optx.AbstractGaussNewton):
         rejected, and differ from it by rounding.
         """
         cost = 0.5 * jnp.sum(state.f_info.residual**2)
-        little = state.descent_state.predicted < jnp.maximum(ENOUGH * cost, ENOUGH_CHI2)
+        least = jnp.maximum(self.enough * cost, ENOUGH_CHI2)
+        little = state.descent_state.predicted < least
         stuck = state.num_steps_since_acceptance >= FAILURES
         stop = little | stuck
         return state.terminate | (stop & ~state.first_step), state.result
@@ -197,7 +199,8 @@ def minimise(
         G = jnp.zeros((y.size + 1,) * 2).at[np.ix_(where, where)].set(G)
         return _factored(y, (_root(G), here))[0], also
 
-    solver = _BoxedLM(rtol=tol, atol=tol, descent=BoxedNewton(lower, upper))
+    descent, enough = BoxedNewton(lower, upper), jnp.asarray(ENOUGH)
+    solver = _BoxedLM(rtol=tol, atol=tol, descent=descent, enough=enough)
     out = optx.least_squares(
         factor, solver, start, has_aux=True, max_steps=steps, throw=False
     )
@@ -212,16 +215,19 @@ def minimise_step_by_step(
     upper: Float[np.ndarray, "k"],
     steps: int = 20,
     tol: float = 1e-5,
+    enough: float = ENOUGH,
 ) -> Fit:
     """`minimise` from 0, with the Gram matrices made outside of what is compiled: by
     programs that serve more than fits, on as many cores as there are.
 
-    The arguments are those of `minimise`, in NumPy's arrays.
+    The arguments are those of `minimise`, in NumPy's arrays; `enough` is the share of
+    the cost below which a step is not worth taking.
     """
     count = len(lower)
     size = bucket(count)  # few programs serve fits of any size
     low, high = (jnp.pad(jnp.asarray(a), (0, size - count)) for a in (lower, upper))
-    solver = _BoxedLM(rtol=tol, atol=tol, descent=BoxedNewton(low, high))
+    descent = BoxedNewton(low, high)
+    solver = _BoxedLM(rtol=tol, atol=tol, descent=descent, enough=jnp.asarray(enough))
     where = np.ix_(*[np.r_[:count, size]] * 2)
     y, state, kept, done = jnp.zeros(size), _begun(size), None, False
     result = optx.RESULTS.successful
@@ -264,7 +270,8 @@ def _begun(size: int) -> Any:
     optimistix keeps in it what it traced, and steps of other states are compiled anew.
     """
     none = jnp.zeros(size)
-    solver = _BoxedLM(rtol=0.0, atol=0.0, descent=BoxedNewton(none, none))
+    descent, enough = BoxedNewton(none, none), jnp.asarray(ENOUGH)
+    solver = _BoxedLM(rtol=0.0, atol=0.0, descent=descent, enough=enough)
     shape = jax.ShapeDtypeStruct((size + 1,), none.dtype)
     given = (jnp.zeros((size + 1, size + 1)), none)
     return solver.init(_factored, none, given, {}, shape, None, frozenset())

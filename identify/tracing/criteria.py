@@ -150,6 +150,11 @@ class Criteria:
     pressures_settled: float = 0.5
     """Median correction of the initial pressures, over the least noise, below which
     the fit of the pressures is settled, 1."""
+    enough_at_first: float = 1e-4
+    """Share of its cost that a step of the declared model's first fit to the pressures
+    has to promise, 1: time. `benchmarks.recorded` (machine 01)."""
+    enough_in_short: float = 1e-3
+    """The same on some of the windows, from where all are then fitted, 1: time."""
     blind_corrections: int = 6
     """Gauss-Newton corrections of the initial pressures where none is measured, count.
     `benchmarks.trace`."""

@@ -142,7 +142,7 @@ def test_a_range_met_from_the_balances_is_fitted_from_the_rigs_own_values_too(
     inside[problem.model.names.index("beta")] *= 1.1
     found = {"own": own, "near": near}
     said: list[str] = []
-    monkeypatch.setattr(fit, "_fit_these_pressures", lambda p, v, _: (p, v))
+    monkeypatch.setattr(fit, "_fit_these_pressures", lambda p, v, *_: (p, v))
     monkeypatch.setattr(
         Problem,
         "errors_at",
