@@ -10,7 +10,10 @@ from jaxtyping import PyTree
 
 
 def scan_in_blocks(
-    step: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]], first: PyTree, over: PyTree
+    step: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]],
+    first: PyTree,
+    over: PyTree,
+    kept: Callable[[PyTree], PyTree] = lambda stacked: stacked,
 ) -> PyTree:
     """What `jax.lax.scan` of `step` stacks, run in blocks of some sqrt(n) of n steps.
 
@@ -22,9 +25,11 @@ def scan_in_blocks(
         step: from a carry and one step's inputs to the next carry and what is stacked.
         first: the carry to begin with.
         over: the inputs; every array has n steps on its first axis.
+        kept: what is kept of a block's stack, with its steps on the first axis.
 
     Returns:
-        The second of what `step` returns, with n on the first axis of every array.
+        The second of what `step` returns, or what is kept of it, with n on the first
+        axis of every array.
     """
     n = len(jax.tree.leaves(over)[0])
     size = max(1, int(n**0.5))
@@ -35,7 +40,8 @@ def scan_in_blocks(
         return a[index].reshape(blocks, size, *a.shape[1:])
 
     def block(carry, steps):
-        return jax.lax.scan(step, carry, steps)
+        carry, stacked = jax.lax.scan(step, carry, steps)
+        return carry, kept(stacked)
 
     out = jax.lax.scan(block, first, jax.tree.map(cut, over))[1]
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:n], out)

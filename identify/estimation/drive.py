@@ -121,13 +121,8 @@ def driven_pressures(
     rig = put(model.rig, model.names[:n], values[:n])
     sources = _Sources.of(model, rig, directions, spool)
     P, by = _run(rig, batch, sources, spool)
-    own = slice(sources.spool, sources.spool + OWN)
-    # Two large products, not one for each tick.
-    rest = jnp.concatenate([by[:, : own.start], by[:, own.stop :]], axis=1)
-    combined = jnp.einsum("sk,pswt->pkwt", sources.along, rest)
-    still = jnp.zeros((2, READINGS, *by.shape[2:]))
-    by = jnp.concatenate([combined, by[:, own], still], axis=1)
-    return Pressures((P[0], P[1]), (by[0], by[1]))
+    still = ((0, READINGS), (0, 0), (0, 0))
+    return Pressures((P[0], P[1]), (jnp.pad(by[0], still), jnp.pad(by[1], still)))
 
 
 OWN = 2 + SUPPLY_BLOCKS
@@ -166,20 +161,33 @@ class _Sources(NamedTuple):
         return cls(moves, logger, flow, jnp.concatenate(along))
 
     @property
-    def count(self) -> int:
+    def total(self) -> int:
         """How many there are."""
         return self.spool + OWN + len(self.logger) + len(self.flow)
 
     @property
     def of_supply(self) -> slice:
         """Those that move the supply's pressure."""
-        return slice(self.spool, self.count - len(self.flow))
+        return slice(self.spool, self.total - len(self.flow))
+
+    def columns(
+        self, by: Float[Array, "ticks 2 sources windows"]
+    ) -> Float[Array, "ticks 2 columns windows"]:
+        """Derivatives by the sources as those along the directions and by what each
+        window has of its own.
+        """
+        end = self.spool + OWN
+        rest = jnp.concatenate([by[:, :, : self.spool], by[:, :, end:]], axis=2)
+        combined = jnp.einsum("sk,tpsw->tpkw", self.along, rest)
+        return jnp.concatenate([combined, by[:, :, self.spool : end]], axis=2)
 
 
 def _run(
     rig: Rig, batch: Batch, sources: _Sources, spool: Spool
-) -> tuple[Float[Array, "2 windows ticks"], Float[Array, "2 sources windows ticks"]]:
-    """Both pressures, and their derivatives by each of the sources."""
+) -> tuple[Float[Array, "2 windows ticks"], Float[Array, "2 columns windows ticks"]]:
+    """Both pressures, and their derivatives along the directions and by what each
+    window has of its own.
+    """
     w = batch.windows
     opened = opened_in(rig, spool.now, w)
     opened_by = opened_in(rig, spool.by, w)
@@ -230,9 +238,15 @@ def _run(
         return carry, (P, slopes[:2] * rise[:, None])
 
     given = (own, own_by, jnp.stack([P_s_by[:-1], P_s_by[1:]], axis=1), inputs)
-    P, by = scan_in_blocks(tick, (tuple(leaves), slopes), given)
+    # Combined block by block: the whole would not stay in the processor's cache.
+    P, by = scan_in_blocks(
+        tick,
+        (tuple(leaves), slopes),
+        given,
+        lambda out: (out[0], sources.columns(out[1])),
+    )
     P = jnp.concatenate([jnp.stack(leaves[:2])[None], P])
-    by = jnp.concatenate([slopes[None, :2], by])
+    by = jnp.concatenate([sources.columns(slopes[None, :2]), by])
     return jnp.moveaxis(P, 0, -1), jnp.moveaxis(by, 0, -1)
 
 
@@ -262,11 +276,11 @@ def _begin(
             begin, (at, jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS), opened), moves
         )
 
-    rest = sources.count - sources.spool
+    rest = sources.total - sources.spool
     opened_by = jax.tree.map(
         lambda a: jnp.pad(a, ((0, rest), *[(0, 0)] * (a.ndim - 1))), opened_by
     )
-    return jax.vmap(along, out_axes=(None, 0))(jnp.eye(sources.count), opened_by)
+    return jax.vmap(along, out_axes=(None, 0))(jnp.eye(sources.total), opened_by)
 
 
 def _cut(inputs: StepInput, parts: int) -> StepInput:
@@ -315,19 +329,21 @@ def _derived(
     be turned over and over.
     """
 
-    def each(a):
-        return None if a is None else tuple(jnp.moveaxis(a, -1, 0))
+    def apart(a):
+        return () if a is None else tuple(jnp.moveaxis(a, -1, 0))
 
-    lines = (inputs.P_r, inputs.x, inputs.F)
+    lines = tuple(map(apart, (inputs.P_r, inputs.x, inputs.F)))
     rest = (inputs.h, inputs.u, inputs.v, inputs.a, inputs.t)
 
     def one(state, theta, opening, P_s, lines, rest):
         h, u, v, a, t = rest
-        P_r, x, F = (None if b is None else jnp.stack(b) for b in lines)
+        P_r, x, F = lines
+        F = jnp.stack(F) if F else None
 
         def after(state, theta, opening, P_s):
             P, line = jax.tree.unflatten(tree, state)
-            given = StepInput(h, u, jnp.stack(P_s), P_r, x, None, v, a, t, F)
+            ends = (jnp.stack(P_s), jnp.stack(P_r), jnp.stack(x))
+            given = StepInput(h, u, *ends, None, v, a, t, F)
             here = put(rig, names, theta)
             P, line = pressure_step(here, P, opening, given, line)
             return tuple(jax.tree.leaves((P, line)))
@@ -335,7 +351,7 @@ def _derived(
         out, pull = jax.vjp(after, state, theta, opening, P_s)
         return out, jax.vmap(pull)(tuple(jnp.eye(len(out))))
 
-    given = (opening, each(inputs.P_s), tuple(map(each, lines)), rest)
+    given = (opening, apart(inputs.P_s), lines, rest)
     return jax.vmap(one, in_axes=(0, None, 0, 0, 0, 0), out_axes=(0, -1))(
         state, theta, *given
     )

@@ -149,7 +149,8 @@ def spool_of(
         for row, own in zip(into, found, strict=False):
             row[:] = own
     along = np.pad(rows[moved], ((0, room - len(moved)), (0, 0)))
-    return Spool(*jax.tree.map(jnp.asarray, (now, by)), along)
+    now, by = jax.tree.map(jnp.asarray, (now, by))
+    return Spool(now, by, along)
 
 
 def _of_command(

@@ -97,8 +97,10 @@ def motion(segments: list[Segment], h: float) -> Motion:
         v[k, : s.t.size] = s.v
         F.append(np.pad(s.smoothed, (0, n - s.t.size), mode="edge"))
     one, two = (jnp.asarray([s.P[0, i] for s in segments]) for i in range(2))
-    whole = (jnp.asarray(np.array(a)) for a in (u, dx, ticks, speed, v, F))
-    return Motion(*whole, (one, two))
+    u, dx, ticks, speed, v, F = (
+        jnp.asarray(np.array(a)) for a in (u, dx, ticks, speed, v, F)
+    )
+    return Motion(u, dx, ticks, speed, v, F, (one, two))
 
 
 def _past(s: Segment, first: int, pre: int) -> tuple[np.ndarray, np.ndarray]:

@@ -207,7 +207,7 @@ def test_it_is_kept_while_nothing_that_it_depends_on_changes(leaking, monkeypatc
         monkeypatch.setattr(memory, name, counted(name, getattr(memory, name)))
     problem = api._problems(leaking, ["valve_lag"])[0]
     values, names = problem.initial_values(), problem.model.names
-    changes = [
+    counts, changes = (0, 0), [
         ("k_cp", (1, 1)), ("beta", (1, 1)), ("z_ss", (2, 1)), ("valve_lag.tau", (2, 2)),
         ("L_rate", (3, 2)),
     ]  # fmt: skip
