@@ -28,7 +28,7 @@ from hydrojax.identify.estimation.columns import (
     slot_names,
     thinned,
 )
-from hydrojax.identify.estimation.drive import Spool
+from hydrojax.identify.estimation.drive import SpoolPath
 from hydrojax.identify.estimation.pieces import Span, at_once, in_pieces
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.starts import placed
@@ -205,7 +205,7 @@ def _run(
     values: Float[Array, "n"],
     directions: Float[Array, "n_1 k"],
     batch: Batch,
-    spool: Spool,
+    spool: SpoolPath,
     weight: Float[Array, "rows ticks"],
     handfuls: Span,
 ) -> Float[Array, "rows_k rows_k"]:

@@ -44,7 +44,7 @@ from hydrojax.plant.scan import scan_in_blocks
 from hydrojax.plant.state import StepInput
 
 
-class Spool(NamedTuple):
+class SpoolPath(NamedTuple):
     """The spool's opening over whole segments, and how it moves.
 
     Attributes:
@@ -105,7 +105,7 @@ def driven_pressures(
     values: Float[Array, "n"],
     directions: Basis,
     batch: Batch,
-    spool: Spool | None,
+    spool: SpoolPath | None,
 ) -> Pressures:
     """The pressures along the hydraulic directions, the two initial pressures (per
     Pa), and the supply's error in each block (per standard deviation of its mean); what
@@ -147,7 +147,7 @@ class _Sources(NamedTuple):
 
     @classmethod
     def of(
-        cls, model: ParametricRig, rig: Rig, directions: Basis, spool: Spool
+        cls, model: ParametricRig, rig: Rig, directions: Basis, spool: SpoolPath
     ) -> _Sources:
         """Nothing but the windows' own where there are no directions."""
         moves, names = len(spool.along), model.names[: model.hydraulic]
@@ -183,7 +183,7 @@ class _Sources(NamedTuple):
 
 
 def _run(
-    rig: Rig, batch: Batch, sources: _Sources, spool: Spool
+    rig: Rig, batch: Batch, sources: _Sources, spool: SpoolPath
 ) -> tuple[Float[Array, "2 windows ticks"], Float[Array, "2 columns windows ticks"]]:
     """Both pressures, and their derivatives along the directions and by what each
     window has of its own.
@@ -206,17 +206,10 @@ def _run(
     def substep(carry, given):
         state, slopes = carry
         opening, opening_by, supply_by, part = given
-        state, (by_state, by_theta, by_opening, by_supply) = _derived(
+        state, derivatives = _derived(
             rig, sources.flow, tree, state, theta, opening, part
         )
-        moved = sum(b[:, None] * s for b, s in zip(by_state, slopes, strict=True))
-        each = zip(by_opening, opening_by, strict=True)
-        more = [
-            sum(b[:, None] * o for b, o in each),
-            by_supply[0][:, None] * supply_by[0] + by_supply[1][:, None] * supply_by[1],
-            *([jnp.stack(by_theta, axis=1)] if by_theta else []),
-        ]
-        return (state, moved + jnp.concatenate(more, axis=1)), None
+        return (state, _carried(derivatives, slopes, opening_by, supply_by)), None
 
     def tick(carry, given):
         opening, opening_by, supply_by, inputs = given
@@ -248,6 +241,25 @@ def _run(
     P = jnp.concatenate([jnp.stack(leaves[:2])[None], P])
     by = jnp.concatenate([sources.columns(slopes[None, :2]), by])
     return jnp.moveaxis(P, 0, -1), jnp.moveaxis(by, 0, -1)
+
+
+def _carried(
+    derivatives: tuple,
+    slopes: Float[Array, "state sources windows"],
+    opening_by: tuple[Float[Array, "moves windows"], ...],
+    supply_by: Float[Array, "2 moves windows"],
+) -> Float[Array, "state sources windows"]:
+    """How the sources move a state after a substep, by its derivatives (see `_derived`)
+    and by how they moved what it came from.
+    """
+    by_state, by_theta, by_opening, by_supply = derivatives
+
+    def through(by, moves):
+        return sum(b[:, None] * m for b, m in zip(by, moves, strict=True))
+
+    theta = [jnp.stack(by_theta, axis=1)] if by_theta else []
+    more = (through(by_opening, opening_by), through(by_supply, supply_by), *theta)
+    return through(by_state, slopes) + jnp.concatenate(more, axis=1)
 
 
 def _begin(

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
 from hydrojax.identify.estimation.columns import Basis, ParametricRig
-from hydrojax.identify.estimation.drive import Spool, openings_by, rows_of
+from hydrojax.identify.estimation.drive import SpoolPath, openings_by, rows_of
 from hydrojax.identify.estimation.pieces import at_once
 from hydrojax.identify.estimation.sensitivity import (
     Recalled,
@@ -110,7 +110,7 @@ def spool_of(
     motion: Motion,
     store: Store,
     cut: Cut | None = None,
-) -> Spool:
+) -> SpoolPath:
     """Where the command has the spool over whole segments, or over a cut of them; and
     how the hydraulic directions move it, or nothing of that.
     """
@@ -150,7 +150,7 @@ def spool_of(
             row[:] = own
     along = np.pad(rows[moved], ((0, room - len(moved)), (0, 0)))
     now, by = jax.tree.map(jnp.asarray, (now, by))
-    return Spool(now, by, along)
+    return SpoolPath(now, by, along)
 
 
 def _of_command(

@@ -25,7 +25,7 @@ from hydrojax.identify.estimation.columns import (
     ParametricRig,
 )
 from hydrojax.identify.estimation.drive import (
-    Spool,
+    SpoolPath,
     driven_pressures,
     openings_by,
     rows_of,
@@ -159,7 +159,7 @@ def sums(
     if simulate:
         rows = rows_of(model, directions.hydraulic)
         moves = jnp.eye(len(rows))
-        spool = Spool(*openings_by(model, values, moves, batch.motion), rows)
+        spool = SpoolPath(*openings_by(model, values, moves, batch.motion), rows)
     recalled = Recalled(past, stacked, along, spool)
     count = len(batch.P_0)
     size = min(count, max(PIECE, -(-count // PIECES)))

@@ -23,7 +23,7 @@ from hydrojax.identify.estimation.columns import (
     slot_names,
 )
 from hydrojax.identify.estimation.coupled import agreed, stretched
-from hydrojax.identify.estimation.drive import Spool
+from hydrojax.identify.estimation.drive import SpoolPath
 from hydrojax.identify.estimation.known import Free, Known, prior_rows
 from hydrojax.identify.estimation.memory import Store, recalled, spool_of
 from hydrojax.identify.estimation.misfit import (
@@ -285,7 +285,7 @@ class Problem:
         hydraulic: Float[np.ndarray, "n_1 k"],
         full: Batch,
         cut: Cut | None,
-    ) -> Spool:
+    ) -> SpoolPath:
         """Where the command has the spool, as `spool_of` has it; kept."""
         return spool_of(model, values, hydraulic, full.motion, self._common, cut)
 

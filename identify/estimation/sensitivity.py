@@ -24,7 +24,7 @@ from hydrojax.identify.estimation.columns import (
     Basis,
     ParametricRig,
 )
-from hydrojax.identify.estimation.drive import Pressures, Spool
+from hydrojax.identify.estimation.drive import Pressures, SpoolPath
 from hydrojax.parameters import get, put, specs
 from hydrojax.plant.replay import (
     Motion,
@@ -68,7 +68,7 @@ class Recalled(NamedTuple):
     past: Past
     by: Past | None
     along: Float[Array | np.ndarray, "moved columns"]
-    spool: Spool | None
+    spool: SpoolPath | None
 
 
 def memory_along(
