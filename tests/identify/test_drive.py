@@ -1,0 +1,87 @@
+"""Derivatives of a substep of the pressures, backward, against forward mode."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hydrojax.effects import EFFECTS
+from hydrojax.identify.estimation.drive import _derived
+from hydrojax.parameters import get, parameter_specs, put
+from hydrojax.plant.chambers import P_VAPOUR
+from hydrojax.plant.hydraulics import pressure_step
+from hydrojax.plant.places import flow_names
+from hydrojax.plant.rig import add
+from hydrojax.plant.state import StepInput
+
+P_S, P_R = 14e6, 0.25e6
+ODD = {
+    "between": (6e6, 8e6, 0.3, 0.0, 0.1),
+    "shut and still": (6e6, 8e6, 0.0, 0.0, 0.0),
+    "at the supply": (P_S, 8e6, 0.5, 0.0, 0.1),
+    "at the return": (P_R, 8e6, 0.0, 0.5, -0.1),
+    "beyond both": (P_S + 1e6, P_R - 1e5, 0.2, 0.1, 0.1),
+    "at no pressure": (0.0, 0.0, 0.2, 0.2, 0.1),
+    "a vacuum": (P_VAPOUR, 5e6, 0.2, 0.0, -0.3),
+    "drawn empty": (3 * P_VAPOUR, 5e6, 0.0, 0.2, 0.3),
+}
+"""Pressures (Pa), openings toward either side (V) and speed (m/s)."""
+
+
+@pytest.mark.parametrize("strength", [0.0, 0.5])
+@pytest.mark.parametrize("stretched", [False, True])
+def test_a_substep_has_the_derivatives_of_forward_mode(rig, strength, stretched):
+    """At odd places too, where a branch that is not taken is not finite."""
+    rig = add(rig, [effect() for effect in EFFECTS.values()])
+    spec = parameter_specs(rig)
+    names = [n for n, s in spec.items() if s.strength]
+    rig = put(rig, names, [strength * spec[n].scale for n in names])
+    flow, rows = flow_names(rig), np.array(list(ODD.values())).T
+    P_1, P_2, up, down, v = map(jnp.asarray, rows)
+    count, h = len(ODD), 2.5e-3
+    line = rig.line_init(P_1, P_2)
+    leaves, tree = jax.tree.flatten(((P_1, P_2), line))
+    same = jnp.ones(count)
+    opening = (up, down, 0.9 * down, 1.1 * up)
+    inputs = StepInput(
+        h=h * same,
+        u=same,
+        P_s=P_S * jnp.ones((count, 2)),
+        P_r=P_R * jnp.ones((count, 2)),
+        x=0.02 + v[:, None] * h * jnp.array([0.0, 0.5, 1.0]),
+        dx=None,
+        v=v,
+        a=0 * v,
+        t=7.0 * same,
+        F=300.0 * jnp.ones((count, 2)) if stretched else None,
+    )
+    theta = tuple(get(rig, flow))
+    out, found = _derived(rig, flow, tree, tuple(leaves), theta, opening, inputs)
+
+    for i, place in enumerate(ODD):
+        alone = jax.tree.map(lambda a, i=i: a[i], inputs)
+
+        def after(state, theta, opening, P_s, own=alone):
+            P, line = jax.tree.unflatten(tree, state)
+            here = put(rig, flow, theta)
+            given = own._replace(P_s=jnp.stack(P_s))
+            return tuple(jax.tree.leaves(pressure_step(here, P, opening, given, line)))
+
+        at = (
+            tuple(a[i] for a in leaves),
+            theta,
+            tuple(o[i] for o in opening),
+            tuple(inputs.P_s[i]),
+        )
+        wanted = jax.jacfwd(after, argnums=(0, 1, 2, 3))(*at)
+        for k, value in enumerate(after(*at)):
+            assert float(out[k][i]) == pytest.approx(float(value), rel=1e-12), place
+            backward = [b[k, i] for part in found for b in part]
+            forward = [b for part in wanted[k] for b in part]
+            np.testing.assert_allclose(
+                np.array(backward),
+                np.array(forward),
+                rtol=1e-9,
+                equal_nan=False,
+                err_msg=place,
+            )
