@@ -164,7 +164,7 @@ IN_LINES = 25
 """Ticks right ahead of a window over which the lines are followed: a line takes some
 ten to fill or empty."""
 
-Opened = tuple[Float[Array, "..."], ...]
+Opened = tuple[Float[Array | np.ndarray, "..."], ...]
 """The spool's opening over ticks, as `Point` has it."""
 
 
@@ -176,7 +176,7 @@ class Cut(NamedTuple):
     size: int
 
 
-Held = tuple[Float[Array, "steps stretches parts"], Float[Array, "steps stretches"]]
+Held = tuple[Float[Array, "_ stretches parts"], Float[Array, "_ stretches"]]
 """The command's mean over the parts of each step, and the steps' lengths, s."""
 
 

@@ -247,7 +247,7 @@ def _carried(
     derivatives: tuple,
     slopes: Float[Array, "state sources windows"],
     opening_by: tuple[Float[Array, "moves windows"], ...],
-    supply_by: Float[Array, "2 moves windows"],
+    supply_by: Float[Array, "2 supply windows"],
 ) -> Float[Array, "state sources windows"]:
     """How the sources move a state after a substep, by its derivatives (see `_derived`)
     and by how they moved what it came from.

@@ -240,7 +240,7 @@ def run_openings(
 def run_openings_by(
     model: ParametricRig,
     values: Float[Array | np.ndarray, "n"],
-    moves: Float[np.ndarray, "moved names"],
+    moves: Float[Array | np.ndarray, "moved names"],
     motion: Motion,
     cut: Cut | None,
 ) -> tuple[Opened, Opened]:

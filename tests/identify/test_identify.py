@@ -653,7 +653,7 @@ def test_runs_of_a_long_log_are_what_the_whole_gives(recorded, monkeypatch):
     t = np.asarray(some.windows.t[:, 0])
     assert np.ptp(t) > 0.8 * np.ptp(whole.windows.t)
     at = np.searchsorted(np.asarray(whole.windows.t[:, 0]), t - 1e-6)
-    for name in ("t", "u", "before", "P_s", "measured", "x_fine", "v", "a"):
+    for name in ("t", "u", "P_before", "P_s", "measured", "x_fine", "v", "a"):
         got, want = (np.asarray(getattr(d.windows, name)) for d in (some, whole))
         np.testing.assert_allclose(got, want[at], atol=1e-6 * np.max(np.abs(want)))
     rig = build_rig(spec)
