@@ -164,7 +164,7 @@ IN_LINES = 25
 """Ticks right ahead of a window over which the lines are followed: a line takes some
 ten to fill or empty."""
 
-Opened = tuple[Float[Array | np.ndarray, "..."], ...]
+Opened = tuple[Float[Array, "..."], ...]
 """The spool's opening over ticks, as `Point` has it."""
 
 

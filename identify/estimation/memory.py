@@ -120,13 +120,13 @@ def spool_of(
     )
     moved = [int(i) for i in np.flatnonzero(np.any(rows != 0, axis=1))]
 
-    def part(which: Sequence[int]) -> tuple[Opened, Opened]:
+    def part(which: Sequence[int]) -> tuple[tuple, tuple]:
         moves = np.zeros((ABREAST, len(rows)))
         moves[np.arange(len(which)), which] = 1.0
         found = run_openings_by(path, at, moves, motion, cut)
         return jax.tree.map(np.asarray, found)
 
-    def make(anew: bool, lacks: list[int]) -> tuple[Opened, list[Opened]]:
+    def make(anew: bool, lacks: list[int]) -> tuple[tuple, list[tuple]]:
         if not lacks:
             return run_openings(path, at, motion, cut), []
         groups = [lacks[i : i + ABREAST] for i in range(0, len(lacks), ABREAST)]
