@@ -22,6 +22,7 @@ import numpy as np
 from hydrojax import units
 from hydrojax.errors import TEXT, InputError, file_text
 from hydrojax.parameters import Spec, specs
+from hydrojax.plant.chambers import Point
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.places import PLACES
 
@@ -204,6 +205,8 @@ def _check(effect: Any, where: str) -> str:
         refuse(f"cannot be made without arguments: {err}; give each field a default")
     if method and trial is not None:
         _try(instance, method, trial, declared, refuse)
+        if PLACES[place].hydraulic and not PLACES[place].opens:
+            _try_backward(instance, method, trial, declared, refuse)
     return name
 
 
@@ -256,6 +259,44 @@ def _try(
             refuse(
                 f"{method}(...) has no finite derivative other than 0 by {name} at 0, "
                 "so no trace would find it: let it grow in proportion at first"
+            )
+
+
+def _try_backward(
+    instance: Effect,
+    method: str,
+    at: tuple,
+    declared: dict[str, Spec],
+    refuse: Refuse,
+) -> None:
+    """That fits can take its derivatives backward, by what it is given: at typical
+    strengths, under the trial's pressures and under these exchanged, in motion back.
+    """
+    names = [field for field, s in declared.items() if s.strength]
+    typical = eqx.tree_at(
+        lambda e: [getattr(e, n) for n in names],
+        instance,
+        [jnp.asarray(declared[n].scale, dtype=float) for n in names],
+    )
+
+    def push(given):
+        return sum(map(jnp.sum, jax.tree.leaves(getattr(typical, method)(*given))))
+
+    turned = tuple(
+        a._replace(P_a1=a.P_a2, P_a2=a.P_a1, v=-a.v) if isinstance(a, Point) else a
+        for a in at
+    )
+    for given in (at, turned):
+        inputs = jax.tree.map(lambda x: jnp.asarray(x, dtype=float), given)
+        try:
+            slopes = jax.tree.leaves(jax.grad(push)(inputs)) if inputs else []
+        except Exception as err:
+            said = " ".join(f"{type(err).__name__}: {err}".split())
+            refuse(f"{method}(...) cannot be differentiated backward: {said[:160]}")
+        if not all(np.all(np.isfinite(slope)) for slope in slopes):
+            refuse(
+                f"{method}(...) has no finite derivative by what it is given, taken "
+                "backward: a branch of jnp.where that is not taken must be finite too"
             )
 
 

@@ -211,6 +211,45 @@ def test_what_cannot_be_taken_is_refused_in_one_line(
     assert before == EFFECTS
 
 
+FLOW = """
+class Mine(FlowEffect):
+    name = "mine"
+    residual_axis = "P_a1 - P_a2"
+    c: Array = param("m^3/(s*Pa)", 0.0, 0.0, 1e-6, "leak", strength=True, size=1e-10)
+
+    def flow(self, at):
+        d = at.P_a1 - at.P_a2
+        q = self.c * ROOT
+        return q, -q
+"""
+LOOP = """(
+            jax.lax.while_loop(lambda s: s[1] > 0, lambda s: (2 * s[0], s[1] - 1),
+                               (d, 3))[0])"""
+
+
+@pytest.mark.parametrize(
+    ("root", "said"),
+    [
+        ("jnp.where(d > 0, jnp.sqrt(jnp.where(d > 0, d, 1.0)), -d)", None),
+        ("jnp.where(d > 0, jnp.sqrt(d), -d)", "that is not taken must be finite"),
+        ("jnp.where(d > 0, d, jnp.sqrt(-d))", "that is not taken must be finite"),
+        (LOOP, "flow(...) cannot be differentiated backward: ValueError"),
+    ],
+)
+def test_what_acts_on_the_pressures_bears_backward_derivatives(
+    vocabulary, tmp_path, root, said
+):
+    """Forward ones are finite in all of these."""
+    path = tmp_path / "mine.py"
+    path.write_text("import jax\n" + HEAD + FLOW.replace("ROOT", root))
+    if said is None:
+        assert list(load_effects(path)) == ["mine"]
+        return
+    with pytest.raises(InputError) as refused:
+        load_effects(path)
+    assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
 def test_two_files_may_not_share_a_name(vocabulary, mine, tmp_path):
     load_effects(mine)
     other = tmp_path / "other.py"
