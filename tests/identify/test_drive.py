@@ -58,30 +58,20 @@ def test_a_substep_has_the_derivatives_of_forward_mode(rig, strength, stretched)
     theta = tuple(get(rig, flow))
     out, found = _derived(rig, flow, tree, tuple(leaves), theta, opening, inputs)
 
-    for i, place in enumerate(ODD):
-        alone = jax.tree.map(lambda a, i=i: a[i], inputs)
+    def after(state, theta, opening, P_s, own):
+        P, line = jax.tree.unflatten(tree, state)
+        given = own._replace(P_s=jnp.stack(P_s))
+        here = put(rig, flow, theta)
+        return tuple(jax.tree.leaves(pressure_step(here, P, opening, given, line)))
 
-        def after(state, theta, opening, P_s, own=alone):
-            P, line = jax.tree.unflatten(tree, state)
-            here = put(rig, flow, theta)
-            given = own._replace(P_s=jnp.stack(P_s))
-            return tuple(jax.tree.leaves(pressure_step(here, P, opening, given, line)))
-
-        at = (
-            tuple(a[i] for a in leaves),
-            theta,
-            tuple(o[i] for o in opening),
-            tuple(inputs.P_s[i]),
-        )
-        wanted = jax.jacfwd(after, argnums=(0, 1, 2, 3))(*at)
-        for k, value in enumerate(after(*at)):
-            assert float(out[k][i]) == pytest.approx(float(value), rel=1e-12), place
-            backward = [b[k, i] for part in found for b in part]
-            forward = [b for part in wanted[k] for b in part]
+    at = (tuple(leaves), theta, opening, tuple(inputs.P_s.T), inputs)
+    axes = (0, None, 0, 0, 0)
+    values = jax.vmap(after, axes)(*at)
+    wanted = jax.vmap(jax.jacfwd(after, argnums=(0, 1, 2, 3)), axes)(*at)
+    np.testing.assert_allclose(np.array(out), np.array(values), rtol=1e-12)
+    for k, forward in enumerate(wanted):
+        pairs = zip(jax.tree.leaves(found), jax.tree.leaves(forward), strict=True)
+        for backward, own in pairs:
             np.testing.assert_allclose(
-                np.array(backward),
-                np.array(forward),
-                rtol=1e-9,
-                equal_nan=False,
-                err_msg=place,
+                np.asarray(backward)[k], np.asarray(own), rtol=1e-9, equal_nan=False
             )
