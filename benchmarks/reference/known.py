@@ -124,6 +124,11 @@ KNOWN: dict[str, Known] = {
         "10 to 80 % of the Coulomb level, over 1 to 20 mm/s",
         "It is there at low speed only, and turns its sign with the motion. Cross zero speed slowly and often; lag and bristle damping show in the reversal itself and grow with acceleration.",
     ),
+    "film_friction": Known(
+        {"k_h": 60.0, "n": 0.5},
+        "a soft seal on a film: 0.3 to 2 times its Coulomb friction at 10 mm/s, growing with the root of the speed",
+        "It grows steeply at low speed and flattens, in proportion to no speed: move at many speeds, evenly from the lowest to the highest, at two pressures.",
+    ),
     "bristle_damping": Known(
         {"sigma_1": 3e4},
         "10 to 300 kN·s/m",

@@ -22,13 +22,13 @@ from pathlib import Path
 
 import numpy as np
 
-from .catalogue import ALL, LARGEST, NAMED, OUTSIDE, SIZES, largest
+from .catalogue import ALL, LARGEST, LATER, NAMED, OUTSIDE, SIZES, largest
 from .excitation import NOISE, STYLES
 from .plant import MASS, Lane
 from .record import Log, record
 
 MIXED = ("nothing", "parameters", "effect", "pair", "outside", "noise", "shift")
-KINDS = (*MIXED, "large", "differential", "coarse", "several")
+KINDS = (*MIXED, "large", "differential", "coarse", "several", "later")
 LOGS = tuple(f"{style}.csv" for style in STYLES)
 
 RANGES = {  # name: (unit, lower end, upper end)
@@ -116,6 +116,7 @@ def plan(
         ),
         "coarse": _by_turns("coarse", names, bits=17),
         "several": _several(names),
+        "later": _later(),
     }
     more = dict(more or {})
     if unknown := sorted(set(more) - set(makers)):
@@ -144,6 +145,13 @@ def _large(names: Sequence[str]) -> Iterator[CaseSpec]:
     for i in count():
         for name in names:
             yield CaseSpec(f"large-{name}-{i}", "large", {name: LARGEST})
+
+
+def _later() -> Iterator[CaseSpec]:
+    for i in count():
+        size = (*SIZES, LARGEST)[i % (len(SIZES) + 1)]
+        for name in LATER:
+            yield CaseSpec(f"later-{name}-{size:g}-{i}", "later", {name: size})
 
 
 def _by_turns(
@@ -364,7 +372,7 @@ def write_cases(
         place = folder / spec.name
         place.mkdir(parents=True, exist_ok=True)
         (place / "rig.toml").write_text(rig_file(spec.name, truth))
-        if declare and spec.effects and all(n in NAMED for n in spec.effects):
+        if declare and spec.effects and not set(spec.effects) & set(OUTSIDE):
             text = rig_file(spec.name, truth, declare(list(spec.effects)))
             (place / "oracle.toml").write_text(text)
         for file, log in zip(LOGS, own, strict=True):

@@ -84,7 +84,16 @@ NAMED: dict[str, Kind] = {
     "pressure_sensor_bias": Kind({"b_1": 1e5, "b_2": -6e4}, ("b_1", "b_2")),
     "channel_skew": _one(tau=0.4e-3),
 }
-"""Effects of the product's vocabulary."""
+"""Effects of the product's vocabulary, those that the mix of cases is drawn from."""
+
+LATER: dict[str, Kind] = {
+    "film_friction": Kind(
+        {"k_h": 25.0, "kappa_h": 0.0, "n": 0.5},
+        ("k_h",),
+        largest={"k_h": 400.0, "n": 0.65},
+    ),
+}
+"""Effects that joined the vocabulary when the mix had been drawn: `--more later=N`."""
 
 OUTSIDE: dict[str, Kind] = {
     "spool_flow_force": _one(k_q=3e-9),
@@ -133,7 +142,7 @@ _LARGEST: dict[str, Values] = {
 }
 NAMED = {n: replace(k, largest=_LARGEST.get(n, {})) for n, k in NAMED.items()}
 
-ALL = NAMED | OUTSIDE
+ALL = NAMED | LATER | OUTSIDE
 
 ENDS: dict[str, dict[str, float]] = {
     "valve_deadband": {"u_dbp": 5.0},

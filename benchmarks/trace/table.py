@@ -98,6 +98,7 @@ def _main(good: Sequence[Row]) -> str:
     for kind, title in (
         ("differential", "rod on one side"),
         ("coarse", "encoder of 17 bits"),
+        ("later", "effects beside the mix"),
     ):
         hidden = [r for r in _of(good, kind) if r["sizes"]]
         felt = [r for r in hidden if matters(r)]

@@ -20,6 +20,7 @@ from hydrojax.effects.fluid import (
 )
 from hydrojax.effects.friction import (
     BristleDamping,
+    FilmFriction,
     FrictionalLag,
     FrictionDrift,
     MaxwellSlip,
@@ -97,6 +98,7 @@ EFFECTS: dict[str, type[Effect]] = {
         DeadVolume,
         EntrainedAir,
         ViscousFriction,
+        FilmFriction,
         Stribeck,
         BristleDamping,
         FrictionalLag,

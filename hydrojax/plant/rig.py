@@ -222,11 +222,13 @@ class Rig(eqx.Module):
     ) -> Float[Array, "*batch"]:
         """Mean of the pressures that push on the piston, Pa.
 
-        That of an open chamber, whose force area is zero (`single`), does not.
+        That of an open chamber, whose force area is zero (`single`), does not. 0 where
+        no pressure is known.
         """
         push_1 = jnp.where(self.force_area_1 > 0, 1.0, 0.0)
         push_2 = jnp.where(self.force_area_2 > 0, 1.0, 0.0)
-        return (push_1 * P_a1 + push_2 * P_a2) / (push_1 + push_2)
+        both = push_1 * P_a1 + push_2 * P_a2
+        return both / jnp.maximum(push_1 + push_2, 1.0)
 
     def output_force(self, at: Sliding) -> Float[Array, "*batch"]:
         """F at the load cell, before the sensor, N; (22) and the added forces."""

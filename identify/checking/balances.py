@@ -229,6 +229,7 @@ def force_table(s: EvenTicks, g: Geometry, shape: Shape, ticks: int) -> Table:
 FORCE_RIVALS: Mapping[str, tuple[str, ...]] = {
     "payload_inertia": ("inertia",),
     "stribeck": ("stribeck",),
+    "film_friction": ("film",),
     "pressure_friction": ("by_pressure",),
     "friction_drift": ("by_time",),
     "pressure_sensor_bias": ("constant",),
@@ -250,6 +251,7 @@ def force_rivals(s: EvenTicks, g: Geometry, shape: Shape, ticks: int) -> Table:
     each = {
         "inertia": np.gradient(v, s.h),
         "stribeck": -slide * turn * np.exp(-((v / 4e-3) ** 2)),
+        "film": -slide * np.sign(v) * np.sqrt(np.abs(v)),
         "by_pressure": -slide * turn * np.sum(s.P, axis=1),
         "by_time": -slide * turn * t,
         "constant": np.ones_like(t),

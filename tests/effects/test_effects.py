@@ -300,6 +300,11 @@ def test_level_effect_is_its_formula(name, fields, want):
     [
         ("viscous_friction", {"b": 400.0}, 1.6),
         ("bristle_damping", {"sigma_1": 5e3}, -10.0),
+        (
+            "film_friction",
+            {"k_h": 30.0, "kappa_h": 4e-6, "n": 0.5},
+            0.4 * (0.4**2 + 0.01**2) ** -0.25 * (30 + 4e-6 * 5.75e6),
+        ),
         ("payload_inertia", {"m": 8.0}, -4.8),
         (
             "gravity_load",
