@@ -283,11 +283,12 @@ def _with_noise_found(case: Case, state: Tracing) -> Tracing:
 
 
 def _on_all(problem: Problem, state: Tracing) -> Tracing:
-    """The state fitted on all windows, where effects were looked for on some: without
-    those that are not needed there.
+    """The state fitted to the end: on all windows, where effects were looked for on
+    some, and without those that are not needed there.
     """
-    if len(state.problem.batch.P_0) == len(problem.batch.P_0):
-        return state
+    whole = len(state.problem.batch.P_0) == len(problem.batch.P_0)
+    if whole and (np.isfinite(state.noise[2]) or not state.added):
+        return state  # its last fit was to the end
     state.progress("fit to all windows")
     problem = replace(problem, batch=problem.batch._replace(noise=state.noise))
     problem, point = fit_all(problem, state.point.values, state.free)

@@ -152,15 +152,19 @@ def fit_jointly(
 
 
 def fit_pressures(
-    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
+    problem: Problem,
+    values: Float[np.ndarray, "n"],
+    free: Sequence[str],
+    enough: float = ENOUGH,
 ) -> tuple[Problem, Float[np.ndarray, "n"]]:
     """Fit the free parameters that the pressures see, on the pressures alone; where the
-    windows are many, on some of them first.
+    windows are many, on some of them first. `enough` is the share of the cost below
+    which a step is not worth taking.
     """
     few = in_short(problem)
     if few is not problem:
-        values = _fit_these_pressures(few, values, free)[1]
-    return _fit_these_pressures(problem, values, free)
+        values = _fit_these_pressures(few, values, free, enough)[1]
+    return _fit_these_pressures(problem, values, free, enough)
 
 
 def _fit_these_pressures(

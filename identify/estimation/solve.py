@@ -99,6 +99,10 @@ BRAKED = 0.01
 """Step size after a failure at most, a damping of 1e-2: with less, a step is the one
 that failed again."""
 
+PATIENCE = 4
+"""Evaluations over which a fit has to bring what each of its steps has to promise: in a
+narrow bent valley a step promises much and keeps next to nothing of it."""
+
 FAILURES = 3
 """Failures one after the other that end a fit: the second has a damping of 1e-2, the
 third of 1."""
@@ -221,7 +225,8 @@ def minimise_step_by_step(
     programs that serve more than fits, on as many cores as there are.
 
     The arguments are those of `minimise`, in NumPy's arrays; `enough` is the share of
-    the cost below which a step is not worth taking.
+    the cost below which a step is not worth taking, by what it promises or by what the
+    last ones (`PATIENCE`) brought.
     """
     count = len(lower)
     size = bucket(count)  # few programs serve fits of any size
@@ -230,7 +235,7 @@ def minimise_step_by_step(
     solver = _BoxedLM(rtol=tol, atol=tol, descent=descent, enough=jnp.asarray(enough))
     where = np.ix_(*[np.r_[:count, size]] * 2)
     y, state, kept, done = jnp.zeros(size), _begun(size), None, False
-    result = optx.RESULTS.successful
+    result, costs = optx.RESULTS.successful, []
     for _ in range(steps):
         found, also = gram(np.asarray(state.y_eval)[:count])
         G = np.zeros((size + 1, size + 1))
@@ -239,10 +244,13 @@ def minimise_step_by_step(
         y, state, (done, result) = _advanced(solver, y, state, jnp.asarray(G))
         if kept is None or int(state.num_accepted_steps) > accepted:
             kept = also
+        costs.append(0.5 * float(np.sum(np.asarray(state.f_info.residual) ** 2)))
+        before = costs[-1 - PATIENCE] if len(costs) > PATIENCE else np.inf
+        done = bool(done) or before - costs[-1] < PATIENCE * enough * costs[-1]
         if done:
             break
-    cost = np.asarray(0.5 * np.sum(np.asarray(state.f_info.residual) ** 2))
-    fine = bool(done) and bool(result == optx.RESULTS.successful)
+    cost = np.asarray(costs[-1])
+    fine = done and bool(result == optx.RESULTS.successful)
     return Fit(
         np.asarray(y)[:count],
         cost,

@@ -267,6 +267,8 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
             why = "these logs would have shown it at a size that matters"
         elif like := [a.name for a in state.added if name in a.cannot_tell_from]:
             why = f"does as well as {like[0]}: these logs do not distinguish them"
+        elif what == "cannot tell" and s.share > state.criteria.promising:
+            why = "may explain some of what is left: few windows show it"
         elif what == "cannot tell":
             why = "these logs would not show it at a size that matters"
         elif not why:

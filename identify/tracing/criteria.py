@@ -155,6 +155,9 @@ class Criteria:
     has to promise, 1: time. `benchmarks.recorded` (machine 01)."""
     enough_in_short: float = 1e-3
     """The same on some of the windows, from where all are then fitted, 1: time."""
+    enough_in_search: float = 1e-3
+    """The same of a fit to the pressures while effects are looked for, 1: it moves
+    their errors by 5e-4, where `matters` is 2e-2."""
     blind_corrections: int = 6
     """Gauss-Newton corrections of the initial pressures where none is measured, count.
     `benchmarks.trace`."""

@@ -22,7 +22,13 @@ from hydrojax.identify.tracing.judge import (
     worse,
 )
 from hydrojax.identify.tracing.refit import fit_from, refit
-from hydrojax.identify.tracing.rivals import exchanged, pruned, shed, with_look_alikes
+from hydrojax.identify.tracing.rivals import (
+    exchanged,
+    pruned,
+    shed,
+    with_look_alikes,
+    without,
+)
 from hydrojax.identify.tracing.score import Score, family, worth_a_refit
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
@@ -62,7 +68,7 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
             several = _or_several(begun, more, effects, noise)
             if several is not more:
                 # Each was chosen before the others were there.
-                state = pruned(several, noise, fresh=0)
+                state = _in_steps(pruned(several, noise, fresh=0), begun, noise)
                 continue
         if added:
             state = pruned(more, noise)
@@ -110,8 +116,7 @@ def _several(
     state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
 ) -> Tracing:
     """Add two effects or more that the flow balances want together, as many as help;
-    none of them may help alone. Each has the p-value of the whole set, and the error
-    of a fit without those that the balances wanted after it.
+    none of them may help alone. Each has the p-value and the errors of the whole set.
     """
     check, before = state.check, _errors(state)
     sets = []
@@ -134,17 +139,32 @@ def _several(
             continue
         ways = comb(len(state.effects), last + 1)
         p_value = min(ways * chance(before, after, noise), 1.0)
-        fewer = [_errors(fitted(there)) for there in sets[:last]]
-        steps = [check.rms(e) for e in (before, *fewer, after)]
+        ends = check.rms(before), check.rms(after)
         names = [a.name for a in found.added[len(state.added) :]]
         for name in names:
             state.progress(f"added {name}")
-        added = (
-            Added(name, p_value, *ends, ())
-            for name, ends in zip(names, pairwise(steps), strict=True)
-        )
+        added = (Added(name, p_value, *ends, ()) for name in names)
         return replace(found, added=(*state.added, *added))
     return state
+
+
+def _in_steps(state: Tracing, begun: Tracing, noise: np.ndarray) -> Tracing:
+    """The state with the errors before and after each of the effects that it has and
+    `begun` has not: of fits without those that were added after it.
+    """
+    known = {a.name for a in begun.added}
+    old = [a for a in state.added if a.name in known]
+    new = [a for a in state.added if a.name not in known]
+    less, errors = state, [_errors(state)] if new else []
+    for a in reversed(new[1:]):
+        less = without(less, a.name, noise)
+        errors.append(_errors(less))
+    steps = map(state.check.rms, (_errors(begun), *reversed(errors)))
+    added = (
+        replace(a, before=before, after=after)
+        for a, (before, after) in zip(new, pairwise(steps), strict=True)
+    )
+    return replace(state, added=(*old, *added))
 
 
 def _round(
@@ -252,4 +272,6 @@ def status(state: Tracing, name: str, p_value: float) -> str:
         return "cannot tell"
     if p_value < state.criteria.level:
         return "rejected"
+    if s.share > state.criteria.promising:  # much is left that it might explain
+        return "rejected" if name in state.tried else "cannot tell"
     return "absent" if s.power >= state.criteria.power else "cannot tell"

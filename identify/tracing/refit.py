@@ -56,10 +56,13 @@ def fit_from(
     free: tuple[str, ...],
     noise: Float[np.ndarray, "3"],
 ) -> tuple[Problem, FitPoint]:
-    """Fit what is free from `values`: on the pressures alone where no more is seen."""
+    """Fit what is free from `values`: on the pressures alone where no more is seen, and
+    there no further than tells one effect from another.
+    """
     if np.isfinite(noise[2]):
         return fit_jointly(state.problem, values, free, state.point.weights)
-    done, values = fit_pressures(state.problem, values, free)
+    enough = state.criteria.enough_in_search
+    done, values = fit_pressures(state.problem, values, free, enough)
     return done, replace(state.point, values=values)
 
 

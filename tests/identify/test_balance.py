@@ -39,7 +39,7 @@ from hydrojax.identify.tracing.afar import (
     together,
 )
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.identify.tracing.loop import _several
+from hydrojax.identify.tracing.loop import _in_steps, _several
 from hydrojax.identify.tracing.rivals import _taken_out
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log
@@ -262,6 +262,7 @@ def test_the_errors_of_effects_found_at_once_are_of_fits_one_after_the_other():
     point = replace(state.point, values=values)
     state = replace(state, problem=fitted, check=fitted, point=point)
     several = _several(state, state.effects, state.noise)
+    several = _in_steps(several, state, state.noise)
     added = several.added
     assert len(added) >= 2 and len({a.p_value for a in added}) == 1
     rms = fitted.rms(fitted.errors_at(values))

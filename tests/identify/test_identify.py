@@ -27,6 +27,7 @@ from hydrojax.identify.estimation.known import Free, free_parameters
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.estimation.solve import (
     FAILURES,
+    PATIENCE,
     minimise,
     minimise_step_by_step,
 )
@@ -453,6 +454,21 @@ def test_a_failure_shortens_the_next_step_however_far_trust_has_grown():
     beyond = [-8 - a for a in asked[9:]]
     assert len(beyond) == FAILURES and beyond[0] == pytest.approx(1.0, rel=1e-3)
     assert beyond[-1] < 0.6 * beyond[0] and float(out.at[0]) == pytest.approx(-8, 0.01)
+
+
+@pytest.mark.parametrize(("kept", "evaluations"), [(0.06, PATIENCE + 1), (0.2, 20)])
+def test_a_fit_ends_where_steps_keep_little_of_what_they_promise(kept, evaluations):
+    """Each promises half a percent of the cost; 0.1 percent is enough."""
+    asked = []
+
+    def gram(d):
+        asked.append(d)
+        return np.array([[1.0, 1.0], [1.0, 2 * (100 + kept * d[0])]]), ()
+
+    far = np.array([99.0])
+    out = minimise_step_by_step(gram, -far, far, steps=20, enough=1e-3)
+    assert len(asked) == evaluations
+    assert bool(out.converged) == (evaluations < 20)
 
 
 def test_a_fit_whose_misfit_is_no_number_says_so():

@@ -158,6 +158,20 @@ def test_a_range_met_from_the_balances_is_fitted_from_the_rigs_own_values_too(
     assert len(said) == 1
 
 
+@pytest.mark.parametrize(
+    ("share", "tried", "said"),
+    [(1e-3, True, "absent"), (0.1, True, "rejected"), (0.1, False, "cannot tell")],
+)
+def test_what_may_explain_much_of_what_is_left_is_not_called_absent(
+    opened, share, tried, said
+):
+    """Though its test has power and finds nothing: few windows show it."""
+    score = Score(TRUE, share * 1e6, np.ones(1), 0.3, 0.99, 1e6, 1.0)
+    trials = {TRUE: "does not help"} if tried else {}
+    state = replace(unfitted(opened), scores={TRUE: score}, tried=trials)
+    assert loop.status(state, TRUE, 0.3) == said
+
+
 @pytest.mark.parametrize("explained, added", [(True, ["stribeck"]), (False, [])])
 def test_what_acts_ahead_of_explained_pressures_does_not_hide_the_force(
     opened, monkeypatch, explained, added
