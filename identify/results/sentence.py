@@ -10,6 +10,7 @@ from hydrojax.identify.results.outcome import (
     PredictedMotion,
     Unexplained,
 )
+from hydrojax.identify.results.unexplained import LeftOpen
 from hydrojax.report.text import quantity_text
 
 
@@ -50,12 +51,12 @@ def verdict_sentence(
     effects: tuple[FoundEffect, ...],
     left: tuple[Unexplained, ...],
     held_out: bool,
-    needed: tuple[str, ...],
+    needed: LeftOpen,
 ) -> str:
     """What a run found, in one sentence.
 
-    `left` is what stays above its noise, `needed` the parameters that the fitted logs
-    leave open and the validation logs depend on.
+    `left` is what stays above its noise, `needed` what the fitted logs leave open and
+    the validation logs depend on.
     """
     names, many = " and ".join(e.name for e in effects), len(effects) > 1
     where = "validation" if held_out else "fitted"
@@ -76,12 +77,18 @@ def verdict_sentence(
         else ""
     )
     rest = "; ".join(u.description for u in left)
-    if needed:
+    open_ones = " and ".join(needed.names)
+    if needed.whole:
         return (
             f"{start}{channels} cannot be judged: the validation logs depend on "
-            f"{' and '.join(needed)}, which the fitted logs leave open. With values "
+            f"{open_ones}, which the fitted logs leave open. With values "
             "that suit both, every channel of all logs is at its noise; fit a log that "
             "moves as the validation logs do."
+        )
+    if needed.names:
+        rest += (
+            f"; {100 * needed.share:.3g} % of what stands above the noise goes with "
+            f"other values of {open_ones}, which the fitted logs leave open"
         )
     if command == "identify":
         return f"The declared model does not explain {channels}: {rest}. Try trace."

@@ -36,7 +36,7 @@ from hydrojax.identify.results.sentence import (
     with_ends,
     without_skill,
 )
-from hydrojax.identify.results.unexplained import extrapolation, unexplained
+from hydrojax.identify.results.unexplained import LeftOpen, extrapolation, unexplained
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.screen import size_that_matters
@@ -67,7 +67,7 @@ def summarise(
     needed = (
         extrapolation(state, uncertainty.unidentifiable)
         if left and case.held_out
-        else ()
+        else LeftOpen()
     )
     effects = named_effects(case, state, uncertainty, (errors[0], errors[1]))
     return Outcome(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -257,12 +258,27 @@ def _size(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}"
 
 
-def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> tuple[str, ...]:
+class LeftOpen(NamedTuple):
+    """What the fitted logs leave open, and the validation logs depend on.
+
+    Attributes:
+        names: of parameters.
+        share: of the validation logs' squared error above the noise that goes with
+            other values of them, with which the fitted logs stay at their noise.
+        whole: whether every channel of all logs is at its noise with these.
+    """
+
+    names: tuple[str, ...] = ()
+    share: float = 0.0
+    whole: bool = False
+
+
+def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> LeftOpen:
     """Parameters that the fitted logs leave open and the check needs.
 
-    A fit to the check's logs, held by what the fitted logs identify. The
-    names are empty unless there are values with which every channel of all the logs is
-    at its noise: then nothing says that the model lacks anything.
+    A fit to the check's logs, held by what the fitted logs identify. Where there are
+    values with which every channel of all the logs is at its noise, nothing says that
+    the model lacks anything.
 
     Args:
         state: where a run ended.
@@ -277,30 +293,35 @@ def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> tuple[str, .
         return problem.rms(problem.errors_at(values)) / noise
 
     if np.any(off(fitted, start) > own.at_noise):
-        return ()
+        return LeftOpen()
     known = Known(free, start[index], curvature(fitted, state.point, free)[0])
     both = replace(fitted, batch=check.batch, known=known, symmetric=False)
     values = start
     for _ in range(2):
         values, out = both.solve(values, free, noise)
         both = both.restarted(out.also, values)
-    if np.any(off(fitted, values) > own.at_noise) or np.any(
-        off(check, values) > own.at_noise
-    ):
-        return ()
+    if np.any(off(fitted, values) > own.at_noise):
+        return LeftOpen()
 
     def cost(at) -> float:
         return float(np.sum(off(check, at) ** 2))
 
     least = cost(values)
     fall = cost(start) - least
+    whole = bool(np.all(off(check, values)[np.isfinite(noise)] <= own.at_noise))
+    above = float(np.sum(np.maximum(off(check, start) ** 2 - 1, 0.0)))
+    share = 1.0 if whole else min(fall / above, 1.0)
+    if share < own.fair_share:
+        return LeftOpen()
     rise = {}
     for name, i in zip(free, index, strict=True):
         without = values.copy()
         without[i] = start[i]
         rise[name] = (cost(without) - least) / fall
     named = sorted((n for n in free if rise[n] > own.needed), key=lambda n: -rise[n])
-    return tuple(n for n in named if n in unidentifiable) or tuple(named)
+    return LeftOpen(
+        tuple(n for n in named if n in unidentifiable) or tuple(named), share, whole
+    )
 
 
 def _index(state: Tracing) -> np.ndarray:

@@ -11,6 +11,7 @@ from hydrojax.identify.report.headline import grade, headline, loop_verdict
 from hydrojax.identify.report.traces import SECONDS, stretch
 from hydrojax.identify.results.outcome import Horizon, LoopCheck
 from hydrojax.identify.results.sentence import verdict_sentence
+from hydrojax.identify.results.unexplained import LeftOpen
 from tests.identify.test_report import OUTCOMES, explained
 
 
@@ -35,13 +36,27 @@ def test_a_sentence_counts_its_effects():
     two, left = explained().effects, OUTCOMES["unknown"]().unexplained
 
     def said(verdict, effects):
-        return verdict_sentence("trace", verdict, effects, left, True, ())
+        return verdict_sentence("trace", verdict, effects, left, True, LeftOpen())
 
     assert "position_friction: with them every" in said("explained", two)
     assert "internal_leakage: with it every channel" in said("explained", two[:1])
     assert " were found and added and take away " in said("unknown", two)
     assert " was found and added and takes away " in said("unknown", two[:1])
     assert "added" not in said("unknown", ())
+
+
+def test_a_sentence_says_what_goes_with_values_that_were_left_open():
+    left = OUTCOMES["unknown"]().unexplained
+
+    def said(needed):
+        return verdict_sentence("trace", "unknown", (), left, True, needed)
+
+    assert "open" not in said(LeftOpen())
+    some = said(LeftOpen(("c_n2", "beta"), 0.834, False))
+    assert "; 83.4 % of what stands above the noise goes with other values of " in some
+    assert some.endswith("c_n2 and beta, which the fitted logs leave open.")
+    assert "55" in some and "cannot be judged" not in some
+    assert "F cannot be judged" in said(LeftOpen(("c_n2",), 1.0, True))
 
 
 def test_a_model_without_skill_says_so():
