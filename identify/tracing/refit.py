@@ -8,7 +8,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.fit import FitPoint, fit_jointly, fit_pressures
+from hydrojax.identify.estimation.fit import (
+    FitPoint,
+    fit_jointly,
+    fit_pressures,
+    reweighted,
+)
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.estimation.starts import placed, stuck
 from hydrojax.identify.tracing.judge import cost
@@ -63,7 +68,12 @@ def fit_from(
         return fit_jointly(state.problem, values, free, state.point.weights)
     enough = state.criteria.enough_in_search
     done, values = fit_pressures(state.problem, values, free, enough)
-    return done, replace(state.point, values=values)
+    # As what is left earns them now: by weights of a model that lacked more, what is
+    # still missing would seem too small to matter.
+    above = state.criteria.reweighted_above
+    earned = reweighted(noise, done.rms(done.errors_at(values)), above)
+    weights = np.where(np.isfinite(noise), earned, state.point.weights)
+    return done, replace(state.point, values=values, weights=weights)
 
 
 def _elsewhere(
