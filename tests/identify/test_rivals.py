@@ -18,9 +18,9 @@ from benchmarks.trace.catalogue import NAMED
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
 from hydrojax.identify.estimation import fit
-from hydrojax.identify.estimation.fit import FitPoint, fit_all
-from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.tracing import loop
+from hydrojax.identify.estimation.fit import FitPoint, fit_all, only
+from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.tracing import loop, refit
 from hydrojax.identify.tracing.judge import better, may_rise, worsened
 from hydrojax.identify.tracing.rivals import exchanged, pruned, shed
 from hydrojax.identify.tracing.score import Score
@@ -156,6 +156,22 @@ def test_a_range_met_from_the_balances_is_fitted_from_the_rigs_own_values_too(
     monkeypatch.setattr(fit, "balanced", lambda *_: inside)
     assert fit.fit_from_balances(problem, own, free, said.append)[1] is inside
     assert len(said) == 1
+
+
+def test_pressures_are_weighed_by_what_a_fit_leaves_of_them(opened, monkeypatch):
+    """Not by what the declared model left, before anything was found."""
+    state = unfitted(opened)
+    stale = replace(state.point, weights=1e3 * state.noise)
+    noise = only(state.noise, PRESSURES)
+    sse = np.array([1.0, 9.0, 4.0]) * state.noise**2
+    counts = state.problem.batch.windows.measured.shape
+    left = np.tile(sse * counts[1], (counts[0], 1))
+    monkeypatch.setattr(Problem, "errors_at", lambda *_: left)
+    monkeypatch.setattr(refit, "fit_pressures", lambda problem, at, *_: (problem, at))
+    found = refit.fit_from(
+        replace(state, point=stale), stale.values, state.free, noise
+    )[1]
+    np.testing.assert_allclose(found.weights, np.array([1, 3, 1e3]) * state.noise)
 
 
 @pytest.mark.parametrize(
