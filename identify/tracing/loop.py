@@ -52,7 +52,8 @@ def search_effects(state: Tracing) -> Tracing:
         problem, point = fit_force(state.problem, state.point.values, state.free)
         state = replace(state, problem=problem, point=point)
         state = _stage(state, state.effects, state.noise)
-    return with_look_alikes(shed(state))
+    # The fit that let an effect stay may have had a way to go: it is asked once more.
+    return with_look_alikes(pruned(shed(state), state.noise, fresh=0))
 
 
 def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
