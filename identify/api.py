@@ -289,11 +289,11 @@ def _on_all(problem: Problem, state: Tracing) -> Tracing:
     whole = len(state.problem.batch.P_0) == len(problem.batch.P_0)
     if whole and (np.isfinite(state.noise[2]) or not state.added):
         return state  # its last fit was to the end
-    state.progress("fit to all windows")
+    state.progress("fit to the end" if whole else "fit to all windows")
     problem = replace(problem, batch=problem.batch._replace(noise=state.noise))
     problem, point = fit_all(problem, state.point.values, state.free)
     state = replace(state, problem=problem, point=point)
-    return pruned(state, state.noise, fresh=0)
+    return state if whole else pruned(state, state.noise, fresh=0)
 
 
 class _Compiling:

@@ -126,8 +126,8 @@ KNOWN: dict[str, Known] = {
     ),
     "film_friction": Known(
         {"k_h": 60.0, "n": 0.5},
-        "a soft seal on a film: 0.3 to 2 times its Coulomb friction at 10 mm/s, growing with the root of the speed",
-        "It grows steeply at low speed and flattens, in proportion to no speed: move at many speeds, evenly from the lowest to the highest, at two pressures.",
+        "about the Coulomb friction of a soft seal, at 10 mm/s (an estimate), with the root of the speed",
+        "It rises steeply at low speed and flattens above, where viscous friction is a straight line and Stribeck friction falls: move at many speeds, also the lowest, and at two pressures.",
     ),
     "bristle_damping": Known(
         {"sigma_1": 3e4},

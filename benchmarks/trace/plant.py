@@ -160,11 +160,9 @@ class Plant:
         fall = np.where(v > 0, r["k_vp"], r["k_vn"])
         out = turn * level + r["k_0"] - fall * v + e("viscous_friction", "b") * v
         if e.has("film_friction"):
-            grown = e("film_friction", "k_h") + e("film_friction", "kappa_h") * P.mean(
-                0
-            )
+            by_pressure = e("film_friction", "kappa_h") * P.mean(0)
             power = (np.abs(v) / 0.01) ** e("film_friction", "n")
-            out = out + np.sign(v) * grown * power
+            out = out + np.sign(v) * (e("film_friction", "k_h") + by_pressure) * power
         if e.has("frictional_lag"):
             # Speed acts through the film, whose thickness follows it late.
             behind = np.where(e("frictional_lag", "tau_h") > 0, self.film - abs(v), 0)

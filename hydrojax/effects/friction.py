@@ -172,9 +172,10 @@ class FilmFriction(FrictionForce):
     """Friction of a lubricating film, that grows with a power of the speed.
 
     `sign(v) (abs(v) / v_0)^n (k_h + kappa_h P)` with `v_0` = 10 mm/s; `P` as for
-    `pressure_friction`. A soft seal rides on a film whose friction grows with the root
-    of the speed, or somewhat faster: n is 0.5 to 0.7. Below 0.1 mm/s it is in
-    proportion to the speed.
+    `pressure_friction`. Of a soft seal that rides on its film n is 1/2 (Blok's inverse
+    theory of hydrodynamic lubrication). Below 0.1 mm/s it is in proportion to the
+    speed. Beside a free `k_vp` or `k_vn`, speeds that differ little tell only the sum
+    of both, and not n.
     """
 
     name = "film_friction"

@@ -54,9 +54,9 @@ a chamber that no channel sees in place."""
 
 RUNS_AWAY = 1e3
 """Growth of an error of the initial pressures, RMS over a window, from which its
-derivatives say nothing of the model. Where a run settles it is 0.1 to 3; in 4 of 38
-runs of 3 s of a valve near a limit cycle it was 5e3 to 2e10, and products of such
-derivatives left no digit of what all others say."""
+derivatives say nothing of the model, 1. Where a run settles it is 0.1 to 3; along a
+limit cycle it grew to 2e10 (machine 06 of `benchmarks.recorded`, runs of 3 s), and
+products of such derivatives left no digit of what all other windows say."""
 
 
 def _of_use(dy: Array) -> Array:

@@ -87,8 +87,8 @@ def verdict_sentence(
         )
     if needed.names:
         rest += (
-            f"; {100 * needed.share:.3g} % of what stands above the noise goes with "
-            f"other values of {open_ones}, which the fitted logs leave open"
+            f"; other values of {open_ones}, which the fitted logs leave open, take "
+            f"away {100 * needed.share:.3g} % of the squared error above the noise"
         )
     if command == "identify":
         return f"The declared model does not explain {channels}: {rest}. Try trace."

@@ -268,7 +268,7 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
         elif like := [a.name for a in state.added if name in a.cannot_tell_from]:
             why = f"does as well as {like[0]}: these logs do not distinguish them"
         elif what == "cannot tell" and s.share > state.criteria.promising:
-            why = "may explain some of what is left: few windows show it"
+            why = "may explain some of what is left, but not beyond chance"
         elif what == "cannot tell":
             why = "these logs would not show it at a size that matters"
         elif not why:

@@ -289,7 +289,7 @@ def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> LeftOpen:
     fitted, check, start = state.problem, state.check, state.point.values
 
     def off(problem, values) -> np.ndarray:
-        """Each channel's error over its noise."""
+        """Each channel's error over its noise; 0 where it is not compared."""
         return problem.rms(problem.errors_at(values)) / noise
 
     if np.any(off(fitted, start) > own.at_noise):
@@ -303,22 +303,19 @@ def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> LeftOpen:
     if np.any(off(fitted, values) > own.at_noise):
         return LeftOpen()
 
-    def cost(at) -> float:
-        return float(np.sum(off(check, at) ** 2))
-
-    least = cost(values)
-    fall = cost(start) - least
-    whole = bool(np.all(off(check, values)[np.isfinite(noise)] <= own.at_noise))
-    above = float(np.sum(np.maximum(off(check, start) ** 2 - 1, 0.0)))
+    before, after = off(check, start), off(check, values)
+    fall = float(np.sum(before**2 - after**2))
+    whole = bool(np.all(after <= own.at_noise))
+    above = float(np.sum(np.maximum(before**2 - 1, 0.0)))
     share = 1.0 if whole else min(fall / above, 1.0)
-    if share < own.fair_share:
-        return LeftOpen()
     rise = {}
     for name, i in zip(free, index, strict=True):
         without = values.copy()
         without[i] = start[i]
-        rise[name] = (cost(without) - least) / fall
+        rise[name] = float(np.sum(off(check, without) ** 2 - after**2)) / fall
     named = sorted((n for n in free if rise[n] > own.needed), key=lambda n: -rise[n])
+    if not named or not share >= own.fair_share:
+        return LeftOpen()
     return LeftOpen(
         tuple(n for n in named if n in unidentifiable) or tuple(named), share, whole
     )

@@ -157,7 +157,7 @@ class Criteria:
     """The same on some of the windows, from where all are then fitted, 1: time."""
     enough_in_search: float = 1e-3
     """The same of a fit to the pressures while effects are looked for, 1: it moves
-    their errors by 5e-4, where `matters` is 2e-2."""
+    their errors by 5e-4, where `matters` is 2e-2. `benchmarks.machines`."""
     blind_corrections: int = 6
     """Gauss-Newton corrections of the initial pressures where none is measured, count.
     `benchmarks.trace`."""

@@ -52,7 +52,7 @@ def search_effects(state: Tracing) -> Tracing:
         problem, point = fit_force(state.problem, state.point.values, state.free)
         state = replace(state, problem=problem, point=point)
         state = _stage(state, state.effects, state.noise)
-    # The fit that let an effect stay may have had a way to go: it is asked once more.
+    # An effect may have been kept by a fit that had not converged: all are questioned.
     return with_look_alikes(pruned(shed(state), state.noise, fresh=0))
 
 

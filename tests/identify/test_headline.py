@@ -53,8 +53,8 @@ def test_a_sentence_says_what_goes_with_values_that_were_left_open():
 
     assert "open" not in said(LeftOpen())
     some = said(LeftOpen(("c_n2", "beta"), 0.834, False))
-    assert "; 83.4 % of what stands above the noise goes with other values of " in some
-    assert some.endswith("c_n2 and beta, which the fitted logs leave open.")
+    assert "; other values of c_n2 and beta, which the fitted logs leave open," in some
+    assert some.endswith("take away 83.4 % of the squared error above the noise.")
     assert "55" in some and "cannot be judged" not in some
     assert "F cannot be judged" in said(LeftOpen(("c_n2",), 1.0, True))
 
