@@ -206,6 +206,19 @@ class Problem:
             self._summed[key] = found
         return found
 
+    def sums_along(
+        self,
+        values: Float[np.ndarray, "n"],
+        names: tuple[str, ...],
+        noise: Float[np.ndarray, "3"],
+    ) -> tuple[list[str | None], Sums]:
+        """The windows' sums at `values` along some parameters, by the program that fits
+        them: what each of their columns stands for, and the sums.
+        """
+        slots = self.slots(names)
+        sums = self.evaluate(values, names, slots, self.batch._replace(noise=noise))
+        return slot_names(self.model, names, slots), sums
+
     def residuals_at(
         self, values: Float[np.ndarray, "n"]
     ) -> Float[np.ndarray, "windows ticks 3"]:

@@ -24,7 +24,7 @@ from hydrojax.identify.estimation.balance import (
     in_brief,
 )
 from hydrojax.identify.estimation.columns import slot_names, thinned
-from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.starts import placed
 from hydrojax.identify.tracing.score import Score
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
@@ -70,23 +70,21 @@ def from_afar(
     the flow balances at the measured ones, whatever its grid; the rest by force and
     sensors at the pressures that are replayed.
     Nothing is asked where nothing stands above the noise, or where a candidate's score
-    at zero accounts for all of it.
+    at zero accounts for all of it; and the balances only of pressures that do.
 
     Returns:
         By effect the gain, in units of its score's, and where it may be fitted from,
         the best first.
     """
-    if not effects or _accounted(state, scores, noise):
+    above = _above(state, noise)
+    if not effects or not np.any(above) or _accounted(state, scores, noise):
         return {}
     whole = next(iter(scores.values())).left
+    searches = [_replays(state, effects, noise)]
+    if np.any(above & PRESSURES):
+        searches.insert(0, _balances(state, effects, state.criteria.far_steps))
     out = {}
-    for search in filter(
-        None,
-        (
-            _balances(state, effects, state.criteria.far_steps),
-            _replays(state, effects, noise),
-        ),
-    ):
+    for search in filter(None, searches):
         for name, fits in _found(state, effects, search).items():
             gain = whole * (1 - min(f.left for f in fits) / search.here)
             fits = sorted(fits, key=lambda f: f.left)
@@ -264,13 +262,17 @@ def _found(
     return out
 
 
-def _accounted(state: Tracing, scores: Mapping[str, Score], noise: np.ndarray) -> bool:
-    """Whether nothing is left, or would be by the score of one candidate at zero."""
-    seen, weights = np.isfinite(noise), state.point.weights
+def _above(state: Tracing, noise: np.ndarray) -> np.ndarray:
+    """The channels in which something is left that may be far from zero: it shows, at
+    half way to what counts as above the noise.
+    """
     rms = state.problem.rms(state.problem.errors_at(state.point.values))
-    # What is far from zero shows: half way to what counts as above the noise.
-    if not np.any((rms > (1 + state.criteria.at_noise) / 2 * noise)[seen]):
-        return True
+    return np.isfinite(noise) & (rms > (1 + state.criteria.at_noise) / 2 * noise)
+
+
+def _accounted(state: Tracing, scores: Mapping[str, Score], noise: np.ndarray) -> bool:
+    """Whether nothing would be left by the score of one candidate at zero."""
+    seen, weights = np.isfinite(noise), state.point.weights
     windows, ticks, _ = state.problem.batch.windows.measured.shape
     floor = windows * ticks * float(np.sum((noise[seen] / weights[seen]) ** 2))
     left = next(iter(scores.values())).left

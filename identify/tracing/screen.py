@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.afar import from_afar
 from hydrojax.identify.tracing.score import Projection, Score, score
 from hydrojax.identify.tracing.state import Tracing, strengths
@@ -32,14 +33,9 @@ def scores_of(
     state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
 ) -> dict[str, Score]:
     """Every candidate's score at the present fit, each at its best shape."""
-    names = list(state.problem.model.names)
+    problem = state.problem
     weights = np.where(np.isfinite(noise), state.point.weights, np.inf)
     matters = size_that_matters(state, noise)
-    free = [names.index(n) for n in state.free]
-    prior = np.zeros(len(names))
-    for i in free:
-        known = state.problem.free[names[i]].prior
-        prior[i] = state.problem.model.scale[i] / known if known else 0.0
     grids = [
         len(s.grid)
         for e in effects.values()
@@ -48,16 +44,19 @@ def scores_of(
     ]
     best: dict[str, Score] = {}
 
-    def projected(values: np.ndarray, fitted: Sequence[int]) -> Projection:
-        gram = np.array(state.problem.sums_at(values, weights).gram)
-        return Projection(gram, fitted, prior)
-
-    for g in range(max([1, *grids])):
+    # Those of the first values last: they are kept, and asked for where a search ends.
+    for g in reversed(range(max([1, *grids]))):
         values, shapes = _shaped(state, effects, g)
-        projection = projected(values, free)
-        for name, effect in effects.items():
-            if g > 0 and name not in shapes:
-                continue
+        here = effects if g == 0 else {n: effects[n] for n in shapes}
+        along = (*state.free, *(n for e in here.values() for n in strengths(e)))
+        if problem.slots(along) == problem.slots(state.free):
+            names, sums = problem.sums_along(values, along, weights)
+        else:
+            names, sums = problem.model.names, problem.sums_at(values, weights)
+        free = [names.index(n) for n in state.free]
+        prior = _known(problem, names, state.free)
+        projection = Projection(np.array(sums.gram), free, prior)
+        for name, effect in here.items():
             columns = [names.index(n) for n in strengths(effect)]
             ends = np.array(
                 [
@@ -67,13 +66,25 @@ def scores_of(
                 ]
             )
             s = score(projection, name, columns, ends, matters, state.criteria.level)
-            if name not in best or s.gain > best[name].gain:
+            if name not in best or s.gain >= best[name].gain:
                 best[name] = replace(s, shape=shapes.get(name, {}))
     for name, (gain, starts) in from_afar(state, best, effects, noise).items():
         far = gain > best[name].gain
         gain = max(gain, best[name].gain)
         best[name] = replace(best[name], gain=gain, starts=starts, far=far)
     return best
+
+
+def _known(
+    problem: Problem, names: Sequence[str | None], free: Sequence[str]
+) -> Float[np.ndarray, "columns"]:
+    """What is known beforehand of the free columns, as rows' slopes; 0 of others."""
+    out, own = np.zeros(len(names)), problem.model
+    for name in free:
+        known = problem.free[name].prior
+        scale = own.scale[own.names.index(name)]
+        out[names.index(name)] = scale / known if known else 0.0
+    return out
 
 
 def _shaped(
