@@ -43,6 +43,8 @@ class Spec:
         size: a strength's typical magnitude, for scaling.
         minimum: magnitude of a strength below which the effect is too fast or too
             small to be identified from a log.
+        whole: whether it is a share whose largest value, 1, is all there can be: no
+            range could be wider.
         outside: how files and reports show the value, if not as it is stored: the
             reciprocal under this name and unit.
     """
@@ -57,6 +59,7 @@ class Spec:
     grid: tuple[float, ...] = ()
     size: float | None = None
     minimum: float = 0.0
+    whole: bool = False
     outside: tuple[str, str] | None = None
 
     @property

@@ -129,6 +129,11 @@ KNOWN: dict[str, Known] = {
         "about the Coulomb friction of a soft seal, at 10 mm/s (an estimate), with the root of the speed",
         "It rises steeply at low speed and flattens above, where viscous friction is a straight line and Stribeck friction falls: move at many speeds, also the lowest, and at two pressures.",
     ),
+    "friction_at_rest": Known(
+        {"s": 1.0},
+        "all of it (1) in a cylinder whose seals hold at rest, none in the paper's",
+        "It is there only while the piston creeps or stands: stop often, and let the force change while it stands. Stribeck friction falls within the sliding itself, at a speed of its own.",
+    ),
     "bristle_damping": Known(
         {"sigma_1": 3e4},
         "10 to 300 kN·s/m",

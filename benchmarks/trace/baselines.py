@@ -129,6 +129,7 @@ def regressors(s: Mapping[str, np.ndarray]) -> Columns:
         "pressure_sensor_lag": [(r_1, r_2, none)],
         "viscous_friction": [only_force(v)],
         "film_friction": [only_force(way * np.sqrt(np.abs(v)))],
+        "friction_at_rest": [only_force(way * np.exp(-((v / 3e-3) ** 2)))],
         "stribeck": [only_force(way * np.exp(-((v / 5e-3) ** 2)))],
         "bristle_damping": [only_force(s["a"] * np.exp(-((v / 1e-3) ** 2)))],
         "pressure_friction": [only_force(way * (p_1 + p_2))],

@@ -92,6 +92,7 @@ LATER: dict[str, Kind] = {
         ("k_h",),
         largest={"k_h": 400.0, "n": 0.65},
     ),
+    "friction_at_rest": Kind({"s": 0.1}, ("s",), largest={"s": 1.0}),
 }
 """Effects that joined the vocabulary when the mix had been drawn: `--more later=N`."""
 

@@ -181,6 +181,7 @@ class Plant:
         e, r = self.e, self.r
         f_c = self.sliding(t, self.x_p, self.v_p, self.P)
         ell = 1 / (1 + (L_SLOPE * self.slow) ** 3)
+        ell = (1 - e("friction_at_rest", "s")) * ell
         net = (self.toward * self.P).sum(0) - (1 - ell) * f_c
         push = np.where(net > 0, r["k_fp"], r["k_fn"]) * ell
         size = np.abs(net)

@@ -22,6 +22,7 @@ from hydrojax.effects.friction import (
     BristleDamping,
     FilmFriction,
     FrictionalLag,
+    FrictionAtRest,
     FrictionDrift,
     MaxwellSlip,
     PositionFriction,
@@ -72,6 +73,7 @@ from hydrojax.plant.effect import (
     SpeedEffect,
     StretchEffect,
     SupplyEffect,
+    SwitchEffect,
     VolumeEffect,
 )
 
@@ -99,6 +101,7 @@ EFFECTS: dict[str, type[Effect]] = {
         EntrainedAir,
         ViscousFriction,
         FilmFriction,
+        FrictionAtRest,
         Stribeck,
         BristleDamping,
         FrictionalLag,
@@ -199,6 +202,7 @@ __all__ = [
     "SpeedEffect",
     "StretchEffect",
     "SupplyEffect",
+    "SwitchEffect",
     "VolumeEffect",
     "curve",
     "effect",

@@ -14,6 +14,7 @@ from hydrojax.plant.effect import (
     HysteresisForce,
     LevelEffect,
     SpeedEffect,
+    SwitchEffect,
 )
 
 
@@ -206,6 +207,33 @@ class BristleDamping(FrictionForce):
 
     def force(self, at):
         return self.sigma_1 * at.z_rate
+
+
+class FrictionAtRest(SwitchEffect):
+    """Friction that stays at rest (F9): the switch L(t) is `1 - s` times the paper's.
+
+    In the paper's model friction fades as the piston comes to rest, and a share of the
+    output force takes its place. Most cylinders hold their friction there: with
+    `s = 1` it is that of the bristles (Dahl's model; with `stribeck` and
+    `bristle_damping` LuGre's), and `k_fp` and `k_fn` act on nothing.
+    """
+
+    name = "friction_at_rest"
+    residual_axis = "v"
+    s: Float[Array, ""] = param(
+        "1",
+        0.0,
+        0.0,
+        1.0,
+        "share that does not fade",
+        strength=True,
+        size=0.1,
+        grid=(1.0,),
+        whole=True,
+    )
+
+    def presliding(self, L):
+        return (1 - self.s) * L
 
 
 class FrictionalLag(SpeedEffect):

@@ -294,6 +294,17 @@ class FrictionForce(Effect):
         raise NotImplementedError
 
 
+class SwitchEffect(Effect):
+    """Changes the switch L(t) between presliding and sliding: `presliding(L) -> 1`."""
+
+    place = "switch"
+    needs = ("F",)
+
+    def presliding(self, L: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """What takes the place of L(t), 1 in presliding and 0 in sliding."""
+        raise NotImplementedError
+
+
 class HysteresisForce(Effect):
     """Adds a friction force that remembers the way, not the speed: a stop operator.
 

@@ -26,6 +26,7 @@ from hydrojax.plant.effect import (
     SpeedEffect,
     StretchEffect,
     SupplyEffect,
+    SwitchEffect,
     VolumeEffect,
 )
 from hydrojax.plant.friction import Sliding
@@ -88,6 +89,7 @@ PLACES: Mapping[str, Place] = MappingProxyType(
             Place("velocity", SpeedEffect, "follow"),
             Place("level", LevelEffect, "level", (_SLIDING, 900.0)),
             Place("friction", FrictionForce, "force", (_SLIDING,)),
+            Place("switch", SwitchEffect, "presliding", (0.3,)),
             Place("hysteresis", HysteresisForce, "force", (4e-5,), besides=("reach",)),
             Place("force", ForceEffect, "force", (_SLIDING,)),
             Place("sensor_P", SensorChannel, "step", gauge=True),

@@ -9,8 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.identify.estimation.fit import FitPoint
+from hydrojax.identify.estimation.known import Free
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.parameters import Spec, parameter_specs
 
 Interval = tuple[float | None, float | None]
 
@@ -52,10 +54,14 @@ def estimate_uncertainty(
     gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
     inside: list[str] = []
     ends: dict[str, str] = {}
-    for name in free:
+    shown = np.sqrt(np.sum(gram, axis=0).diagonal()[[names.index(n) for n in free]])
+    shown = shown >= problem.criteria.hardly_shown * np.max(shown, initial=0.0)
+    for name, seen in zip(free, shown, strict=True):
         value, f = point.values[names.index(name)], problem.free[name]
         slack = 1e-9 * max(abs(f.lower), abs(f.upper))
-        if value <= f.lower + slack:
+        if not seen:  # where nothing holds it says nothing, an end or not
+            inside.append(name)
+        elif value <= f.lower + slack:
             ends[name] = "lower"
         elif value >= f.upper - slack:
             ends[name] = "upper"
@@ -74,8 +80,10 @@ def estimate_uncertainty(
             unidentifiable.append(name)
         if s > 0.01 * problem.criteria.unseen_std * scale[i]:
             std[name] = None
+    specs = parameter_specs(problem.model.rig)
     limits = [
-        _at_end(name, end, problem.free[name].lower) for name, end in ends.items()
+        _at_end(name, end, problem.free[name], specs[name])
+        for name, end in ends.items()
     ]
     if unidentifiable:
         limits += _in_words(unidentifiable, inside, H, problem.criteria)
@@ -97,6 +105,11 @@ def curvature(
     gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
     columns = np.array([names.index(n) for n in free], dtype=int)
     return _covariance(problem, gram, list(free), columns)[1], list(free)
+
+
+def is_whole(own: Free, spec: Spec) -> bool:
+    """Whether the upper end of a parameter's range is all there can be."""
+    return spec.whole and own.upper >= spec.upper
 
 
 def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]:
@@ -121,9 +134,11 @@ def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]
     return strong @ (few * s.T @ s) @ strong + nothing, H
 
 
-def _at_end(name: str, end: str, lower: float) -> str:
-    if end == "lower" and lower == 0.0:
+def _at_end(name: str, end: str, own: Free, spec: Spec) -> str:
+    if end == "lower" and own.lower == 0.0:
         return f"{name} ended at 0: these logs show none of it"
+    if end == "upper" and is_whole(own, spec):
+        return f"{name} ended at 1: these logs show all of it"
     return (
         f"{name} hit the {end} limit of its range; widen the range. No standard "
         "deviation is given there"

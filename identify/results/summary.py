@@ -12,7 +12,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import FitPoint
-from hydrojax.identify.inference.uncertainty import Uncertainty
+from hydrojax.identify.inference.uncertainty import Uncertainty, is_whole
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.horizons import drifting, horizons_of
 from hydrojax.identify.results.outcome import (
@@ -41,6 +41,7 @@ from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.screen import size_that_matters
 from hydrojax.identify.tracing.state import Tracing, strengths
+from hydrojax.parameters import parameter_specs
 from hydrojax.rigfile.schema import SUPPLY
 
 if TYPE_CHECKING:
@@ -291,10 +292,18 @@ def _candidates(state: Tracing) -> tuple[Candidate, ...]:
 
 
 def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
-    """Free parameters that stand at an end of their range; not what is absent there."""
-    absent = {n for a in state.added for n in strengths(state.effects[a.name])}
-    absent = {n for n in absent if state.named[n] == 0.0}
-    return tuple(n for n in state.free if n in uncertainty.ends and n not in absent)
+    """Free parameters that stand at an end of their range; not what is absent there,
+    nor whole.
+    """
+    own = {n for a in state.added for n in strengths(state.effects[a.name])}
+    specs = parameter_specs(state.problem.model.rig)
+    meant = {n for n in own if state.named[n] == 0.0}
+    meant |= {
+        n
+        for n in own
+        if is_whole(state.problem.free[n], specs[n]) and state.named[n] == 1.0
+    }
+    return tuple(n for n in state.free if n in uncertainty.ends and n not in meant)
 
 
 def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:

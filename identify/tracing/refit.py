@@ -22,7 +22,7 @@ from hydrojax.identify.tracing.screen import scores_of
 from hydrojax.identify.tracing.state import Tracing, free_names, strengths
 from hydrojax.plant.effect import Effect
 
-FRICTION = ("velocity", "level", "friction", "hysteresis")
+FRICTION = ("velocity", "level", "friction", "switch", "hysteresis")
 """Places of effects for which friction's own parameters can compensate."""
 
 

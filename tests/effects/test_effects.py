@@ -59,6 +59,7 @@ REACH = {
     "velocity": (2,),
     "level": (2,),
     "friction": (2,),
+    "switch": (2,),
     "hysteresis": (2,),
     "force": (2,),
     "sensor_P": (0, 1),

@@ -86,6 +86,7 @@ def test_the_table_and_the_rig_agree(rig):
 
 
 def test_what_acts_on_pressures_is_hydraulic_or_a_gauge():
-    downstream = {"velocity", "level", "friction", "hysteresis", "force", "sensor_F"}
+    downstream = {"velocity", "level", "friction", "switch", "hysteresis", "force"}
+    downstream.add("sensor_F")
     assert {n for n, p in PLACES.items() if not p.shows_in_pressures} == downstream
     assert [n for n, p in PLACES.items() if p.gauge] == ["sensor_P"]
