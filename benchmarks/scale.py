@@ -1,9 +1,10 @@
 """What a gain set costs in a sweep, and what a very long table of jobs costs by itself.
 
 Run as `python -m benchmarks.scale gains` (two sweeps, and one on a cluster that loses a
-worker), `devices` (sweeps that measure, on one and on two devices of the processor) or
-`table` (a million rows, a tenth of them with a result, nothing fitted). What is printed
-is what docs/scale.md says.
+worker), `devices` (sweeps that measure, on one and on two devices of the processor),
+`instances` (the closed loop of a second, side by side, on what JAX finds) or `table` (a
+million rows, a tenth of them with a result, nothing fitted). What is printed is what
+docs/scale.md says.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ import xarray as xr
 
 import hydrojax
 from benchmarks.fleet import Watch
+from benchmarks.speed.measured import Section
+from benchmarks.speed.scaling import by_batch
 from hydrojax.workflows.fleet import run as fleet
 from hydrojax.workflows.fleet.report import write_fleet_report
 from hydrojax.workflows.fleet.work import memory
@@ -140,10 +143,23 @@ def long_table(folder: Path, rows: int) -> None:
     )
 
 
+def instances() -> None:
+    """Seconds of the closed loop over a second at 1 kHz, by instances side by side."""
+    section = Section()
+    for point in by_batch(section, False, lambda said: print(said, file=sys.stderr)):
+        one = 1e9 * point["seconds"] / (1000 * point["x"])
+        print(
+            f"{point['x']:9,.0f} instances: {point['seconds']:8.3f} s, {one:10.1f} ns "
+            f"a period and instance; {point['ready_s']:.0f} s until it is compiled"
+        )
+    for said in section.notes:
+        print(said)
+
+
 def main() -> None:
     """One part of the study."""
     given = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    given.add_argument("part", choices=("gains", "devices", "table"))
+    given.add_argument("part", choices=("gains", "devices", "instances", "table"))
     given.add_argument("--out", type=Path, default=Path("hydrojax-scale-study"))
     given.add_argument("--rows", type=int, default=1_000_000)
     words = given.parse_args()
@@ -152,6 +168,8 @@ def main() -> None:
         gains(words.out)
     elif words.part == "devices":
         devices(words.out)
+    elif words.part == "instances":
+        instances()
     else:
         long_table(words.out, words.rows)
 
