@@ -182,8 +182,8 @@ def set_reference(rig: Rig) -> Rig:
 PROGRAMS_KEPT = 0.1
 """Share of the kernel's mappings that programs may take from one module to the next."""
 
-FILLS = 9 * 2**27
-"""Bytes of a worker from which programs go between two tests: 1.1 GiB, on which the
+FILLS = 2**30
+"""Bytes of a worker from which programs go between two tests: 1 GiB, on which the
 next program comes, some 0.4 GiB while it is compiled."""
 
 GROWS = 2**28

@@ -89,6 +89,11 @@ KNOWN: dict[str, Known] = {
         "0.05 to 0.5 MPa at rated flow",
         "It grows with the square of the flow and acts only on the chamber that is being filled. Log the supply pressure at the valve, and it is gone.",
     ),
+    "return_line_drop": Known(
+        {"k_r": 4e14},
+        "0.2 to 1 MPa at rated flow",
+        "It grows with the square of the flow and acts only on the chamber that drains. Log the return pressure at the valve, and it is gone.",
+    ),
     "pressure_compensation": Known(
         {"s": 0.5},
         "margin 0.4 to 1.5 MPa; 1 where the flow does not depend on the load at all",

@@ -118,6 +118,9 @@ def regressors(s: Mapping[str, np.ndarray]) -> Columns:
         "supply_line_drop": [
             flow(np.maximum(u, 0) ** 3 * g_1, np.minimum(u, 0) ** 3 * g_2)
         ],
+        "return_line_drop": [
+            flow(np.minimum(u, 0) ** 3 * g_1, np.maximum(u, 0) ** 3 * g_2)
+        ],
         "entrained_air": [flow(r_1 * air / p_1**1.83, r_2 * air / p_2**1.83)],
         "orifice_transition": [flow(u / g_1**3, -u / g_2**3)],
         "underlap": [

@@ -93,13 +93,14 @@ LATER: dict[str, Kind] = {
         largest={"k_h": 400.0, "n": 0.65},
     ),
     "friction_at_rest": Kind({"s": 0.1}, ("s",), largest={"s": 1.0}),
+    "return_line_drop": Kind({"k_r": 1.5e14}, ("k_r",), largest={"k_r": 2e15}),
 }
 """Effects that joined the vocabulary when the mix had been drawn: `--more later=N`."""
 
 OUTSIDE: dict[str, Kind] = {
     "spool_flow_force": _one(k_q=3e-9),
     "valve_dither": _one(volts=0.3, hertz=87.0),
-    "return_surge": _one(k_r=1.5e14),
+    "scored_bore": _one(c_il=2e-13, width=4e-3),
     "end_cushion": _one(k=3e4, x_from=7e-3),
     "dwell_friction": _one(a=0.12, tau=1.5, v_d=1.5e-3),
     "side_load": _one(a=0.05, hertz=0.37),

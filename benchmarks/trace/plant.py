@@ -73,7 +73,7 @@ class Plant:
         self.volume = self.area * (r["chamber_length"] / 2 + offsets) + spare
         self.toward = self.area * np.array([[-1.0], [1.0]])  # dV/dx
         self.core = np.maximum(e("orifice_transition", "dP_t"), 1.0) ** 2
-        losses = e("supply_line_drop", "k_s"), e("return_surge", "k_r")
+        losses = e("supply_line_drop", "k_s"), e("return_line_drop", "k_r")
         self.loss = np.array(losses)[:, None]
         k, gap = e("rod_compliance", "k"), e("backlash", "b")
         self.two = np.isfinite(k) | (gap > 0)
@@ -111,7 +111,7 @@ class Plant:
         if e.has("warming_valve"):
             tau, a = e("warming_valve", "tau"), e("warming_valve", "a")
             g = g * (1 - a * np.expm1(-t / tau))
-        if e.has("supply_line_drop", "return_surge"):
+        if e.has("supply_line_drop", "return_line_drop"):
             g = g / np.sqrt(1 + self.loss * g * g)
         return g
 
@@ -123,8 +123,10 @@ class Plant:
         if e.has("spool_flow_force"):
             flow = flow / (1 + e("spool_flow_force", "k_q") * np.abs(drop))
         q = flow[0] - flow[1] - self.toward * v
-        if e.has("internal_leakage", "external_leakage"):
-            cross = e("internal_leakage", "c_il") * (P[0] - P[1])
+        if e.has("internal_leakage", "external_leakage", "scored_bore"):
+            score = np.exp(-((x / e("scored_bore", "width")) ** 2))
+            leak = e("internal_leakage", "c_il") + e("scored_bore", "c_il") * score
+            cross = leak * (P[0] - P[1])
             q = q - e("external_leakage", "c_el") * (P - P_r)
             q = q + np.array([-cross, cross])
         soft = 1 / self.r["beta"]

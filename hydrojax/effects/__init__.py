@@ -16,6 +16,7 @@ from hydrojax.effects.fluid import (
     ExternalLeakage,
     InternalLeakage,
     PressureCompensation,
+    ReturnLineDrop,
     SupplyLineDrop,
 )
 from hydrojax.effects.friction import (
@@ -94,6 +95,7 @@ EFFECTS: dict[str, type[Effect]] = {
         Underlap,
         Counterbalance,
         SupplyLineDrop,
+        ReturnLineDrop,
         PressureCompensation,
         InternalLeakage,
         ExternalLeakage,

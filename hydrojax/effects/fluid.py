@@ -39,6 +39,29 @@ class SupplyLineDrop(SupplyEffect):
         return available * load / (1 + load)
 
 
+class ReturnLineDrop(SupplyEffect):
+    """Turbulent loss behind the valve (C9): `P_r + k_r Q_r^2` stands at it."""
+
+    name = "return_line_drop"
+    residual_axis = "abs(u)"
+    k_r: Float[Array, ""] = param(
+        "Pa*s^2/m^6", 0.0, 0.0, 1e18, "line loss", strength=True, size=2e13
+    )
+
+    def drop(
+        self, conductance: Float[Array, "*batch"], available: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
+        """Nothing is lost ahead of the valve."""
+        return 0.0 * available
+
+    def back(
+        self, conductance: Float[Array, "*batch"], available: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
+        """Pressure lost when `conductance sqrt(.)` drains under `available`, Pa."""
+        load = self.k_r * conductance**2
+        return available * load / (1 + load)
+
+
 class PressureCompensation(SupplyEffect):
     """A compensator ahead of the edges that draw on the supply: proportional valves.
 

@@ -190,7 +190,9 @@ class LineEffect(Effect):
 
 
 class SupplyEffect(Effect):
-    """A pressure drop ahead of the valve: `drop(conductance, available) -> Pa`."""
+    """A pressure drop ahead of the valve: `drop(conductance, available) -> Pa`; or one
+    behind it, in the return: `back(conductance, available)`.
+    """
 
     place = "supply"
     needs = ("u",)
@@ -200,6 +202,12 @@ class SupplyEffect(Effect):
     ) -> Float[Array, "*batch"]:
         """Pressure lost when `conductance sqrt(.)` draws on `available`, Pa."""
         raise NotImplementedError
+
+    def back(
+        self, conductance: Float[Array, "*batch"], available: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"] | float:
+        """The same behind an edge that drains; none unless it says otherwise."""
+        return 0.0
 
 
 class FlowEffect(Effect):

@@ -146,7 +146,8 @@ class AbstractValve(eqx.Module):
                 `sides(*at.opening)`, or `at.opening` if it holds two, is the opening
                 toward either side, in the command's unit. It holds more only under
                 effects of the return edges, which no other than `MeteringEdges` has.
-            drops: effects ahead of the valve, each with `drop(conductance, available)`.
+            drops: effects ahead of the valve and behind it, each with
+                `drop(conductance, available)` and `back(conductance, available)`.
             orifices: effects of the edges, each with `opening(spool)` and `core()`.
         """
 
@@ -164,10 +165,11 @@ class MeteringEdges(AbstractValve):
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Flows into chambers 1 and 2, m^3/s.
 
-        `drops` are effects ahead of the valve: each maps the conductance of the edge
-        that draws on the supply (m^3/(s Pa^0.5)) and the pressure available across
-        it to a pressure drop. `orifices` are effects of the edges themselves: what
-        they add to the openings and to the square of the laminar core.
+        `drops` are effects ahead of the valve and behind it: each maps the conductance
+        of the edge that draws on the supply, or drains (m^3/(s Pa^0.5)), and the
+        pressure available across it to a pressure drop. `orifices` are effects of the
+        edges themselves: what they add to the openings and to the square of the
+        laminar core.
         """
         if len(at.opening) == 1 and not orifices:
             return self._on_one_side(at, drops)
@@ -187,11 +189,14 @@ class MeteringEdges(AbstractValve):
             available = at.P_s - chamber
             return edge * root(available - sum(d.drop(edge, available) for d in drops))
 
+        def drained(edge, chamber):
+            available = chamber - at.P_r
+            return edge * root(available - sum(d.back(edge, available) for d in drops))
+
         q_1 = drawn(self.c_p1 * open_p, at.P_a1)
         q_2 = drawn(self.c_p2 * open_n, at.P_a2)
-        out_1, out_2 = self.c_n1 * back_n, self.c_n2 * back_p
-        q_1 = q_1 - out_1 * root(at.P_a1 - at.P_r)
-        q_2 = q_2 - out_2 * root(at.P_a2 - at.P_r)
+        q_1 = q_1 - drained(self.c_n1 * back_n, at.P_a1)
+        q_2 = q_2 - drained(self.c_n2 * back_p, at.P_a2)
         return q_1, q_2
 
     def _on_one_side(
@@ -205,8 +210,9 @@ class MeteringEdges(AbstractValve):
         def flow(draws, c_p, c_n, chamber):
             edge = jnp.where(draws, c_p, c_n) * size
             across = jnp.where(draws, at.P_s, at.P_r) - chamber
-            lost = sum(d.drop(edge, across) for d in drops)
-            return edge * root_flow(across - jnp.where(draws, lost, 0.0))
+            ahead = sum(d.drop(edge, across) for d in drops)
+            behind = sum(d.back(edge, across) for d in drops)
+            return edge * root_flow(across - jnp.where(draws, ahead, behind))
 
         return (
             flow(up, self.c_p1, self.c_n1, at.P_a1),

@@ -109,6 +109,11 @@ def test_flow_laws_have_their_closed_forms():
     loss, c = 1e14, RIG["c_p1"] * u
     drawn = rates({"supply_line_drop": {"k_s": loss}}, up)[0] / stiff[0]
     assert drawn == pytest.approx(c * math.sqrt(10e6 - loss * drawn**2), rel=1e-6)
+    gone = -rates({"return_line_drop": {"k_r": loss}}, up)[1] / stiff[1]
+    c = RIG["c_n2"] * u
+    assert gone == pytest.approx(c * math.sqrt(8.75e6 - loss * gone**2), rel=1e-6)
+    scored = rates({"scored_bore": {"c_il": 1e-12, "width": 4e-3}}, shut)
+    assert scored == pytest.approx(leak)  # in the middle
 
 
 def test_spool_follows_its_step_response():
