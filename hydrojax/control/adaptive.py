@@ -106,8 +106,9 @@ class Law(InvertingController):
     above zero, frozen where the rate is zero, and off where both bounds are zero.
 
     Attributes:
-        nominal: the rig without effects; of it the law uses the valve (18), the
-            chambers' lengths (10)(11), the areas (16), and z_ss, delta, L(t).
+        nominal: the rig without effects, but with those of L(t); of it the law uses
+            the valve (18), the chambers' lengths (10)(11), the areas (16), and z_ss,
+            delta, L(t).
         k_p, k_f: m^2/(s N).
         rate: rho_1, rho_a, c_1 ... c_7 of (28)-(30), SI.
         lower, upper: the bounds of the nine estimates, SI.
@@ -195,7 +196,7 @@ class Law(InvertingController):
         signals = {
             **ControllerSignals(P, P_d, P_d_rate, v, swept, virtual)._asdict(),
             **memory.estimates._asdict(),
-            "L": friction.switch(speed),
+            "L": self.nominal.presliding(speed),
         }
         memory = Memory(estimates, measured.x, v, z, speed, P_d, P_d_rate)
         return memory, u, signals
@@ -230,7 +231,8 @@ class Law(InvertingController):
         F_d: Float[Array, "..."],
     ) -> tuple[Float[Array, "..."], Theta]:
         """P_d (N) of (24)(25), and the row of (26) that made it."""
-        row = self.nominal.mechanics.regressor(z, v, speed, F_d)
+        L = self.nominal.presliding(speed)
+        row = self.nominal.mechanics.regressor(z, v, L, F_d)
         f = sum(y * k for y, k in zip(row, estimates.theta_f, strict=True))
         return F_d + f, row
 

@@ -135,15 +135,14 @@ class Friction(eqx.Module):
         self,
         z: Float[Array, "*batch"],
         v: Float[Array, "*batch"],
-        speed: Float[Array, "*batch"],
+        L: Float[Array, "*batch"],
         F: Float[Array, "*batch"],
     ) -> Theta:
-        """The row of (26): what each of theta_f is multiplied with in f_f.
+        """The row of (26): what each of theta_f is multiplied with in f_f, at L(t).
 
         With the output force itself as `F`, `f_f` of (7) is this times theta_f; the
         adaptive law puts the desired force in its place.
         """
-        L = self.switch(speed)
         slide = 1 - L
         g = jnp.clip(z / self.z_ss, -1.0, 1.0)
         stick = L * F / (1 + self.delta * jnp.abs(F))

@@ -236,13 +236,17 @@ class Rig(eqx.Module):
         at = at._replace(P_seal=self.seal_pressure(at.P_a1, at.P_a2))
         f_c = self.mechanics.sliding_force(at, self.level, self.friction)
         P = self.drive_force(at.P_a1, at.P_a2)
-        L = self.mechanics.switch(at.speed)
-        for effect in self.switch:
-            L = effect.presliding(L)
-        F = self.mechanics.output_force(P, f_c, L)
+        F = self.mechanics.output_force(P, f_c, self.presliding(at.speed))
         F = F + sum(e.force(at) for e in self.force)
         held = zip(self.hysteresis, at.slips, strict=True)
         return F - sum(e.force(w) for e, w in held)
+
+    def presliding(self, speed: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """L(t), and what effects make of it; `speed` is the filtered |v|."""
+        L = self.mechanics.switch(speed)
+        for effect in self.switch:
+            L = effect.presliding(L)
+        return L
 
     def slide(self, state: State, inputs: StepInput) -> State:
         """What friction remembers after the piston's motion over a tick."""

@@ -154,7 +154,7 @@ def build_loop(
     Args:
         file: the rig.
         rig: the plant, if it is another than `build_rig(file)`; the paper's law knows
-            the file's without effects.
+            the file's without effects, but for those of the switch L(t).
         gains: keys of [controller] that replace the file's; for a controller in
             `file.law`, names of its gains.
         where: what opens an error line about `gains`.
@@ -168,7 +168,8 @@ def build_loop(
             f"{file.path}: layout {file.layout.name!r} has no valve to close a "
             "loop with; give the rig's areas and another layout"
         )
-    nominal = build_rig(replace(file, effects={}))
+    switch = {n: e for n, e in file.effects.items() if EFFECTS[n].place == "switch"}
+    nominal = build_rig(replace(file, effects=switch))
     keys = file_keys(file)
     gains = dict(gains or {})
     law = file.law

@@ -362,7 +362,7 @@ def test_22_friction_is_linear_in_theta_f():
     at = Sliding(rest, rest, v, rest, z, rest, speed, rest, rest, rest)
     L = friction.switch(speed)
     F = np.asarray(friction.output_force(P, friction.sliding_force(at), L))
-    row = friction.regressor(*map(jnp.asarray, (z, v, speed, F)))
+    row = friction.regressor(*map(jnp.asarray, (z, v, L, F)))
     f_f = sum(np.asarray(y) * theta[k] for y, k in zip(row, SEVEN, strict=True))
     assert np.allclose(P - F, f_f, rtol=1e-9, atol=1e-8)
 

@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 from hydrojax import effects as vocabulary
 from hydrojax.cli import app
+from hydrojax.control.adaptive import truth
 from hydrojax.control.simulation import hold, make_scenario, simulate_loop
 from hydrojax.export.tree import plant
 from hydrojax.paper import experiments
@@ -37,6 +38,8 @@ WAVY = RIG.replace(
 )
 """The reference rig with a profile that no key lays over a stretch."""
 
+FADES_LESS = '[effects.friction_at_rest]\ns = "0.6"\n\n'
+
 
 def level(rig: rigs.Rig, x: float) -> float:
     """Output force while the piston slides at `x`, N."""
@@ -49,6 +52,27 @@ def same_plant(one: rigs.Rig, other: rigs.Rig) -> bool:
         np.array_equal(a, b)
         for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
     )
+
+
+def test_friction_that_stays_at_rest_is_the_plants_and_the_laws():
+    """With L(0) = 0.4 both hold 0.6 of f_c at rest; the law knows no other effect."""
+    text = WAVY.replace("[effects.valve_lag]", FADES_LESS + "[effects.valve_lag]")
+    loop = build_loop(RigFile.from_text(text))
+    nominal = loop.law.nominal
+    assert [e.name for e in nominal.switch] == ["friction_at_rest"]
+    assert not any((nominal.command, nominal.level, nominal.friction))
+    z, F_d = 4e-5, 80.0
+    P_d, _ = loop.law.desired(truth(nominal), z, 0.0, 0.0, F_d)
+    f = loop.rig.mechanics
+    slides = float(f.k_cp) * z / float(f.z_ss) + float(f.k_0)
+    sticks = float(f.k_fp) * F_d / (1 + float(f.delta) * F_d)
+    want = F_d + 0.6 * slides + 0.4 * sticks
+    assert float(P_d) == pytest.approx(want, rel=1e-12)
+    # The plant under that pressure, at the middle of the wave.
+    P_2 = 7e6 + want / float(nominal.force_area_2)
+    at = Sliding(0.0, 0.0, 0.0, 0.0, z, 0.0, 0.0, 7e6, P_2, 14e6, 0.0)
+    F = nominal.output_force(Sliding._make(np.asarray(a) for a in at))
+    assert float(F) == pytest.approx(F_d, rel=1e-9)
 
 
 @pytest.mark.parametrize("length", ["200 mm", "90 mm"])
