@@ -199,6 +199,11 @@ KNOWN: dict[str, Known] = {
         "0.1 to 3 %",
         "An area that is off by as much gives the same residual: hang a known weight on the load cell.",
     ),
+    "loadcell_bias": Known(
+        {"b": 40.0},
+        "5 to 100 N",
+        "Unload the cell and read it. It stands at every speed and force; a weight between piston and cell (gravity_load) turns with the joint.",
+    ),
     "channel_skew": Known(
         {"tau_s": 1e-3},
         "0.1 to 2 ms between two amplifiers or loggers",
@@ -208,6 +213,11 @@ KNOWN: dict[str, Known] = {
         {"tau_P": 1e-3},
         "a time constant of 0.2 to 2 ms",
         "The pressures are late and the force is not: steps of the command with the joint locked.",
+    ),
+    "pressure_sensor_gain": Known(
+        {"eps_1": 0.01, "eps_2": 0.0},
+        "0.1 to 1 %",
+        "It grows with the pressure, where a bias does not: log at two levels, or exchange the sensors. Both off by as much look like an area, or a load cell's gain.",
     ),
     "pressure_sensor_bias": Known(
         {"b_1": 1e5, "b_2": 0.0},

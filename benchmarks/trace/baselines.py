@@ -143,6 +143,8 @@ def regressors(s: Mapping[str, np.ndarray]) -> Columns:
         "gravity_load": [only_force(np.sin(x / 0.085)), only_force(np.cos(x / 0.085))],
         "loadcell_lag": [only_force(rate(force))],
         "loadcell_gain": [only_force(force)],
+        "loadcell_bias": [only_force(np.ones_like(force))],
+        "pressure_sensor_gain": [(p_1, none, none), (none, p_2, none)],
     }
 
 

@@ -93,6 +93,12 @@ LATER: dict[str, Kind] = {
         largest={"k_h": 400.0, "n": 0.65},
     ),
     "friction_at_rest": Kind({"s": 0.1}, ("s",), largest={"s": 1.0}),
+    "loadcell_bias": _one(b=10.0),
+    "pressure_sensor_gain": Kind(
+        {"eps_1": 0.01, "eps_2": -0.006},
+        ("eps_1", "eps_2"),
+        largest={"eps_1": 0.05, "eps_2": 0.02},
+    ),
     "return_line_drop": Kind({"k_r": 1.5e14}, ("k_r",), largest={"k_r": 2e15}),
 }
 """Effects that joined the vocabulary when the mix had been drawn: `--more later=N`."""

@@ -28,9 +28,13 @@ class Sensors:
             hidden("pressure_sensor_bias", "b_1"),
             hidden("pressure_sensor_bias", "b_2"),
         )
-        self.offset = np.array([*bias, np.zeros(hidden.lanes)])
+        self.offset = np.array([*bias, hidden("loadcell_bias", "b")])
         self.gain = np.ones((3, hidden.lanes))
-        self.gain[FORCE] += hidden("loadcell_gain", "eps")
+        self.gain += [
+            hidden("pressure_sensor_gain", "eps_1"),
+            hidden("pressure_sensor_gain", "eps_2"),
+            hidden("loadcell_gain", "eps"),
+        ]
         omega = hidden("tap_resonance", "omega")
         self.rings = np.isfinite(omega)
         self.omega = np.where(self.rings, omega, 1.0)

@@ -162,6 +162,7 @@ def comparable(effect: str, parameters: Mapping[str, float]) -> float:
         "valve_deadband": "u_db",
         "dead_volume": "V_0",
         "pressure_sensor_bias": "b_",
+        "pressure_sensor_gain": "eps_",
     }
     if effect in pairs:
         same = [abs(v) for n, v in p.items() if n.startswith(pairs[effect])]

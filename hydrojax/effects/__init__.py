@@ -33,9 +33,11 @@ from hydrojax.effects.friction import (
 )
 from hydrojax.effects.sensors import (
     ChannelSkew,
+    LoadcellBias,
     LoadcellGain,
     LoadcellLag,
     PressureSensorBias,
+    PressureSensorGain,
     PressureSensorLag,
     SignalFilter,
 )
@@ -117,8 +119,10 @@ EFFECTS: dict[str, type[Effect]] = {
         Backlash,
         LoadcellLag,
         LoadcellGain,
+        LoadcellBias,
         ChannelSkew,
         PressureSensorLag,
+        PressureSensorGain,
         PressureSensorBias,
         SignalFilter,
     )

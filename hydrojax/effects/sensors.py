@@ -57,7 +57,19 @@ class LoadcellLag(_Lag):
         return self.tau_F
 
 
-class LoadcellGain(SensorChannel):
+class _Gain(SensorChannel):
+    """A reading that is off by a factor."""
+
+    eps: Float[Array, ""]
+
+    def init(self, y, slope):
+        return (), (1 + self.eps) * y, (1 + self.eps) * slope
+
+    def step(self, memory, y, h):
+        return memory, (1 + self.eps) * y
+
+
+class LoadcellGain(_Gain):
     """Gain error of the load cell (S3): `F_m = (1 + eps) F`."""
 
     name = "loadcell_gain"
@@ -68,11 +80,31 @@ class LoadcellGain(SensorChannel):
         "1", 0.0, -0.5, 0.5, "gain error", strength=True, size=0.01
     )
 
+
+class _Offset(SensorChannel):
+    """A reading that is off by a constant."""
+
+    b: Float[Array, ""]
+
     def init(self, y, slope):
-        return (), (1 + self.eps) * y, (1 + self.eps) * slope
+        return (), y + self.b, slope
 
     def step(self, memory, y, h):
-        return memory, (1 + self.eps) * y
+        return memory, y + self.b
+
+
+class LoadcellBias(_Offset):
+    """Constant error of the load cell (S2): `F_m = F + b`.
+
+    Where friction stays at rest it is the same as `k_0` of the other sign, and is not
+    named; in the paper's model, where `k_0` fades at rest, this does not.
+    """
+
+    name = "loadcell_bias"
+    place = "sensor_F"
+    needs = ("loadcell",)
+    residual_axis = "v"
+    b: Float[Array, ""] = param("N", 0.0, -1e4, 1e4, "bias", strength=True, size=10.0)
 
 
 class PressureSensorLag(_Lag):
@@ -156,18 +188,6 @@ class SignalFilter(SensorChannel):
         return (y, out, moving + self.tau * slope), out
 
 
-class _Offset(SensorChannel):
-    """A reading that is off by a constant."""
-
-    b: Float[Array, ""]
-
-    def init(self, y, slope):
-        return (), y + self.b, slope
-
-    def step(self, memory, y, h):
-        return memory, y + self.b
-
-
 class PressureSensorBias(SensorChannel):
     """Constant error of each pressure sensor (S4): `P_m = P + b`.
 
@@ -188,6 +208,24 @@ class PressureSensorBias(SensorChannel):
 
     def of_chamber(self, i):
         return _Offset((self.b_1, self.b_2)[i])
+
+
+class PressureSensorGain(SensorChannel):
+    """Gain error of each pressure sensor (S4): `P_m = (1 + eps) P`."""
+
+    name = "pressure_sensor_gain"
+    place = "sensor_P"
+    needs = ("u", "P_a1", "P_a2")
+    residual_axis = "P_a1 + P_a2"
+    eps_1: Float[Array, ""] = param(
+        "1", 0.0, -0.5, 0.5, "gain error of P_a1", strength=True, size=0.01
+    )
+    eps_2: Float[Array, ""] = param(
+        "1", 0.0, -0.5, 0.5, "gain error of P_a2", strength=True, size=0.01
+    )
+
+    def of_chamber(self, i):
+        return _Gain((self.eps_1, self.eps_2)[i])
 
 
 REACH = 16

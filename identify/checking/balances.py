@@ -234,6 +234,7 @@ FORCE_RIVALS: Mapping[str, tuple[str, ...]] = {
     "pressure_friction": ("by_pressure",),
     "friction_drift": ("by_time",),
     "pressure_sensor_bias": ("constant",),
+    "loadcell_bias": ("constant",),
     "gravity_load": ("constant", "place", "place_2"),
     "position_friction": ("by_place", "by_place_2", "by_place_3", "by_place_4"),
     "loadcell_lag": ("late_force",),

@@ -31,7 +31,7 @@ from hydrojax.identify.tracing.rivals import (
 )
 from hydrojax.identify.tracing.score import Score, family, worth_a_refit
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
-from hydrojax.identify.tracing.state import Added, Tracing, free_names
+from hydrojax.identify.tracing.state import Added, Tracing, free_names, strengths
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.places import place_of
 
@@ -210,12 +210,17 @@ def _round(
     if not helped:
         return state
     helped.sort(key=lambda h: h[0])
-    _, name, problem, point, after = helped[0]
+    # Of those that do as well the simplest: a constant force, not a weight that turns.
+    near = [
+        h for h in helped if not worse(h[4], helped[0][4], noise, criteria.worse_by)
+    ]
+    first = min(near, key=lambda h: len(strengths(effects[h[1]])))
+    _, name, problem, point, after = first
     p_value = min(p[name], len(scores) * chance(before, after, noise))
     alike = tuple(
-        n
-        for _, n, _, _, a in helped[1:]
-        if not worse(a, after, noise, criteria.worse_by)
+        h[1]
+        for h in helped
+        if h is not first and not worse(h[4], after, noise, criteria.worse_by)
     )
     rms = state.check.rms
     state.progress(f"added {name}")

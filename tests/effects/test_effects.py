@@ -107,7 +107,12 @@ class Replay:
         return self._both(rig, np.array([float(n == name) for n in self.names]))
 
 
-ONE_SENSOR = {"pressure_sensor_bias.b_1": (0,), "pressure_sensor_bias.b_2": (1,)}
+ONE_SENSOR = {
+    "pressure_sensor_bias.b_1": (0,),
+    "pressure_sensor_bias.b_2": (1,),
+    "pressure_sensor_gain.eps_1": (0,),
+    "pressure_sensor_gain.eps_2": (1,),
+}
 """Strengths that stand on one sensor only."""
 
 ONE_CHAMBER = {
