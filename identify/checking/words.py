@@ -211,7 +211,8 @@ def of_force(found: Factor, of: Inputs) -> Finding:
             f"{name} is {_percent(f, 'too large', 'too small')}: write "
             f"{written(lines)}; or, as these "
             f"logs cannot tell, F is {_percent(1 / f, 'too large', 'too small')} "
-            f"(effect loadcell_gain), or {gauge} {_percent(f, 'too high', 'too low')}"
+            f"(effect loadcell_gain), or {gauge} {_percent(f, 'too high', 'too low')} "
+            "(effect pressure_sensor_gain)"
         )
     elif name == "F":
         lines = scaled(of.spec, [name], float(f"{1 / f:.4g}"))

@@ -139,9 +139,11 @@ def _at_end(name: str, end: str, own: Free, spec: Spec) -> str:
         return f"{name} ended at 0: these logs show none of it"
     if end == "upper" and is_whole(own, spec):
         return f"{name} ended at 1: these logs show all of it"
+    widest = own.upper >= spec.upper if end == "upper" else own.lower <= spec.lower
+    mend = "which can be no wider" if widest else "widen the range"
     return (
-        f"{name} hit the {end} limit of its range; widen the range. No standard "
-        "deviation is given there"
+        f"{name} hit the {end} limit of its range; {mend}. No standard deviation is "
+        "given there"
     )
 
 

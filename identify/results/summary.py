@@ -49,6 +49,12 @@ if TYPE_CHECKING:
 
 UNITS = ("Pa", "Pa", "N")
 
+GAINS = ("loadcell_gain", "pressure_sensor_gain")
+"""Effects that do what an area that is off does."""
+
+NOTABLE = 1.05
+"""Error over the noise from which a channel that is at its noise is not quite there."""
+
 
 def summarise(
     command: str, case: Case, state: Tracing, base: FitPoint, uncertainty: Uncertainty
@@ -93,6 +99,7 @@ def summarise(
             *_undecided(effects),
             *_same_as_inputs(effects, uncertainty),
             *_untested(case, channels, verdict, state.criteria.at_noise),
+            *_not_quite(state, channels, verdict),
             *drifting(channels, verdict, case.preparation.horizon, case.criteria),
         ),
         notes=_notes(case),
@@ -102,6 +109,33 @@ def summarise(
         criteria=state.criteria,
         files=files_of(case),
     )
+
+
+def _not_quite(
+    state: Tracing, channels: Mapping[str, ChannelErrors], verdict: str
+) -> list[str]:
+    """Channels that count as at their noise and are above it, with what shows there."""
+    high = [
+        f"{name} is at {c.after / c.noise:.3g} times its noise"
+        for name, c in channels.items()
+        if c.noise and c.after > NOTABLE * c.noise
+    ]
+    if verdict == "unknown" or not high:
+        return []
+    p = family(state.scores, state.criteria)
+    shows = [
+        name
+        for name in p
+        if p[name] < state.criteria.level and status(state, name, p[name]) == "rejected"
+    ]
+    said = f"{' and '.join(high)}, which counts as at it"
+    if shows:
+        also = "shows" if len(shows) == 1 else "show"
+        said += (
+            f"; {' and '.join(shows)} {also} in what is left, and would not lower the "
+            "validation error enough"
+        )
+    return [said]
 
 
 def _rms(residuals: np.ndarray) -> np.ndarray:
@@ -318,4 +352,7 @@ def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
         beyond = ", and explains at least as much as any effect"
         lead = f"An input looks wrong{beyond if outcome.effects else ''}: "
         lead += f"{found[0].says}."
+        own = [e.name for e in outcome.effects if e.name in GAINS]
+        if found[0].finding == "factor" and own:
+            lead += f" {own[0]} is the same error under another name, not a second one."
     return replace(outcome, inputs=found, sentence=f"{lead} {outcome.sentence}")

@@ -1,0 +1,74 @@
+"""What a report says beside its verdict: ends of ranges, doubts, one thing twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hydrojax.identify.checking.words import Finding
+from hydrojax.identify.estimation.known import Free
+from hydrojax.identify.inference.uncertainty import _at_end, is_whole
+from hydrojax.identify.results.outcome import ChannelErrors, FoundEffect
+from hydrojax.identify.results.summary import _not_quite, with_inputs
+from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.identify.tracing.score import Score
+from hydrojax.parameters import Spec
+from tests.identify.test_report import explained
+
+SHARE = Spec("1", 0.0, 0.0, 1.0, "a share", strength=True, whole=True)
+EXPONENT = Spec("1", 1.2, 1.0, 1.4, "an exponent")
+
+
+@pytest.mark.parametrize(
+    ("end", "own", "spec", "says"),
+    [
+        ("lower", Free(0.5, 0.0, 2.0), EXPONENT, "these logs show none of it"),
+        ("upper", Free(1.2, 1.0, 1.4), EXPONENT, "which can be no wider"),
+        ("lower", Free(1.2, 1.0, 1.3), EXPONENT, "which can be no wider"),
+        ("upper", Free(1.2, 1.0, 1.3), EXPONENT, "widen the range"),
+        ("upper", Free(0.0, 0.0, 1.0), SHARE, "these logs show all of it"),
+        ("upper", Free(0.0, 0.0, 0.8), SHARE, "widen the range"),
+    ],
+)
+def test_only_a_range_that_can_be_wider_is_to_be_widened(end, own, spec, says):
+    assert says in _at_end("e.n", end, own, spec)
+    assert is_whole(own, spec) == (spec is SHARE and own.upper == 1.0)
+
+
+def test_a_factor_and_the_effect_that_does_the_same_are_one_error():
+    found = explained()
+    gain = FoundEffect("loadcell_gain", {}, 0.0, {}, {}, (), "F")
+    area = Finding("area", "factor", 0.98, 6.9, 4.1, "N", "area is 2 % too large")
+    alone = with_inputs(found, (area,)).sentence
+    both = with_inputs(replace(found, effects=(*found.effects, gain)), (area,)).sentence
+    assert "not a second one" not in alone
+    assert "loadcell_gain is the same error under another name" in both
+
+
+def test_a_channel_a_little_above_its_noise_is_said_to_be():
+    def scored(name: str, p: float) -> Score:
+        by_window = np.random.default_rng(0).normal(0.5, 1.0, (60, 1))
+        own = {"by_window": by_window}
+        return Score(name, 1.0, np.zeros(1), p, 1.0, 100.0, 1.0, **own)
+
+    state = SimpleNamespace(
+        criteria=Criteria(),
+        added=(),
+        tried={"stribeck": "does not help"},
+        scores={
+            "stribeck": scored("stribeck", 1e-6),
+            "backlash": scored("backlash", 1),
+        },
+    )
+    channels = {
+        "P_a1": ChannelErrors("Pa", 9e3, 9e3, 9.1e3),
+        "F": ChannelErrors("N", 2.5, 2.7, 2.7),
+    }
+    (said,) = _not_quite(state, channels, "nothing missing")
+    assert said.startswith("F is at 1.08 times its noise, which counts as at it")
+    assert "stribeck shows" in said and "backlash" not in said
+    assert _not_quite(state, channels, "unknown") == []
+    assert _not_quite(state, {"P_a1": channels["P_a1"]}, "explained") == []
