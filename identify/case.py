@@ -90,6 +90,8 @@ class Case:
         as_read: the logs to fit, to validate and to test, as they were read.
         noise_by: the channels' noise by a model that was found, where the position's
             own noise is counted into it; None where it is not.
+        twice: the logs to fit as they are and with their position measured once more,
+            made ready, where its noise shows.
     """
 
     spec: RigFile
@@ -103,6 +105,7 @@ class Case:
     test_logs: tuple[Log, ...] = ()
     as_read: tuple[tuple[Log, ...], ...] = ((), (), ())
     noise_by: NoiseBy | None = None
+    twice: tuple[Data, Data] | None = None
 
     @property
     def criteria(self) -> Criteria:
@@ -307,4 +310,5 @@ def _prepared(
     return Case(
         spec, fit, check, fitted, others or fitted, bool(others), own,
         own.data(tests) if tests else None, tests, as_read, found.noise_by,
+        found.twice,
     )  # fmt: skip

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from hydrojax.identify.estimation.columns import ParametricRig, batch_of
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.inference.uncertainty import Uncertainty, curvature
-from hydrojax.identify.preparation.data import prepare_logs
+from hydrojax.identify.preparation.data import Data, prepare_logs
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile
@@ -41,7 +41,13 @@ def held_tolerances(spec: RigFile) -> dict[str, float]:
 def with_tolerances(
     uncertainty: Uncertainty, case: Case, state: Tracing
 ) -> Uncertainty:
-    """The uncertainty with what the tolerances of held constants add to it."""
+    """The uncertainty with what the tolerances of held constants add to it, and the
+    noise of the position.
+
+    A position with noise bends an estimate: bristles fade by it. Measured once more it
+    bends it once more by as much (simulation extrapolation; J. R. Cook and L. A.
+    Stefanski, J. Am. Stat. Assoc. 89, 1994), and that counts as a standard deviation.
+    """
     inside = uncertainty.inside
     moved = _moved(case, state, inside) if inside else np.empty((0, 0))
     if not moved.size:
@@ -55,7 +61,9 @@ def with_tolerances(
 def _moved(
     case: Case, state: Tracing, inside: tuple[str, ...]
 ) -> Float[np.ndarray, "inside constants"]:
-    """By how much each constant's tolerance moves the estimate, SI."""
+    """By how much each constant's tolerance moves the estimate, and the position's
+    noise, SI.
+    """
     problem, values, weights = state.problem, state.point.values, state.point.weights
     names, scale = problem.model.names, problem.model.scale
     at = np.array([names.index(n) for n in inside])
@@ -72,12 +80,23 @@ def _moved(
     for key, t in case.spec.tolerances.items():
         shifts = [gradient(_with(case, problem, key, d)) for d in (-t / 2, t / 2)]
         pulls.append(shifts[1] - shifts[0])
+    if case.twice is not None:
+        once, again = (gradient(_on(problem, data)) for data in case.twice)
+        pulls.append(again - once)
     if not pulls:
         return np.empty((0, 0))
     return (
         -np.linalg.lstsq(H, np.stack(pulls, axis=1), rcond=1e-12)[0]
         * (scale[at][:, None])
     )
+
+
+def _on(problem: Problem, data: Data) -> Problem:
+    """The problem on the same windows of other logs."""
+    batch = batch_of(data)._replace(noise=problem.batch.noise)
+    if batch.P_0.shape == problem.batch.P_0.shape:
+        batch = batch._replace(P_0=problem.batch.P_0)
+    return replace(problem, batch=batch)
 
 
 def _with(case: Case, problem: Problem, key: str, by: float) -> Problem:

@@ -57,7 +57,8 @@ class Resolved:
     the remainder of its noise in that of the channels.
 
     `smoothed` does the same to a log that took no part in it; `noise_by` is the noise
-    by another model.
+    by another model; `twice` are the logs to fit as they are, and with their position
+    measured once more.
     """
 
     logs: tuple[Log, ...]
@@ -65,6 +66,7 @@ class Resolved:
     notes: tuple[str, ...] = ()
     smoothed: Callable[[Log], Log] = lambda log: log
     noise_by: NoiseBy | None = None
+    twice: tuple[Data, Data] | None = None
 
 
 WILD = 2.0
@@ -110,12 +112,14 @@ def resolve(
     if found is None:
         return Resolved(logs, fit)
     fit = ready(found.logs[:count], found.noise)
-    return Resolved(found.logs, fit, (found.note,), found.change, found.noise_by)
+    return Resolved(
+        found.logs, fit, (found.note,), found.change, found.noise_by, found.twice
+    )
 
 
 class Smoothed(NamedTuple):
     """Logs with what drives smoothed, the channels' noise with it, SI, a remark,
-    what smooths another log, and the noise by another model.
+    what smooths another log, the noise by another model, and `twice` of `Resolved`.
     """
 
     logs: tuple[Log, ...]
@@ -123,6 +127,7 @@ class Smoothed(NamedTuple):
     note: str
     change: Callable[[Log], Log]
     noise_by: NoiseBy | None = None
+    twice: tuple[Data, Data] | None = None
 
 
 def _position(
@@ -183,7 +188,7 @@ def _position(
     found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, criteria.distorted * found)
     note = _position_note(sensor_noise, noise, extra)
-    return Smoothed(smoothed, np.hypot(noise, extra), note, change, noise_by)
+    return Smoothed(smoothed, np.hypot(noise, extra), note, change, noise_by, both[0])
 
 
 def _noise_of_each(
