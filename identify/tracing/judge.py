@@ -10,6 +10,7 @@ from scipy import stats
 
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
@@ -25,16 +26,18 @@ def judge(
 ) -> str:
     """Whether an effect helps, from validation errors before and after.
 
-    It must lower some channel's error beyond chance (paired by window) by `matters`
-    of its noise, and either bring that channel to its noise or take a fair share of
-    what stood above it; the latter in the force only where the pressures are explained.
-    And no channel's error may rise beyond chance by more than `by` (see `may_rise`).
+    It must lower some channel's error beyond chance (paired by window, or down to the
+    noise; see `_brought_down`) by `matters` of its noise, and either bring that channel
+    to its noise or take a fair share of what stood above it; the latter in the force
+    only where the pressures are explained. And no channel's error may rise beyond
+    chance by more than `by` (see `may_rise`).
     """
     own = state.criteria
     seen = np.isfinite(noise)
     sigma = noise[seen]
     a, b = state.check.rms(after)[seen], state.check.rms(before)[seen]
     sure = _falls(before[:, seen], after[:, seen]) > own.beyond_chance
+    sure |= _brought_down(b / sigma, a / sigma, len(after), own)
     helps = sure & (b - a > own.matters * sigma)
     if not helps.any():
         return "too small" if sure.any() else "does not help"
@@ -48,6 +51,24 @@ def judge(
     if not np.any(helps & fair):
         return "explains too little"
     return "spoils another channel" if worsened(state, before, after, by) else "helps"
+
+
+def _brought_down(
+    before: Float[np.ndarray, "c"],
+    after: Float[np.ndarray, "c"],
+    windows: int,
+    own: Criteria,
+) -> Float[np.ndarray, "c"]:
+    """Channels brought to their noise from above it, by more than noise would; errors
+    are RMS over the noise.
+
+    An effect that shows in one window or two (a reversal) has no chance where windows
+    are paired: there is no scatter to be had from them. But of noise alone the mean
+    square is 1, within `sqrt(2 / windows)` even if no more than one sample of a window
+    were independent, and the fall is that of logs which took no part in the fit.
+    """
+    beyond = (before**2 - after**2) * np.sqrt(windows / 2) > own.beyond_chance
+    return (before > own.at_noise) & (after <= own.at_noise) & beyond
 
 
 def may_rise(
