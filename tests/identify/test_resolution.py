@@ -6,6 +6,7 @@ independent generator under an encoder of fewer bits.
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -221,6 +222,28 @@ def test_under_a_coarse_encoder_nothing_missing_is_still_the_answer(
     assert found.verdict == "nothing missing" and not found.effects
     for channel in found.channels.values():
         assert 0.7 < channel.after / channel.noise < 1.1
+
+
+@pytest.mark.slow
+def test_what_a_coarse_encoder_does_to_the_bristle_is_in_its_interval(
+    tmp_path, monkeypatch
+):
+    """Noise passes for motion, in which the bristle fades: z_ss comes out too short."""
+    case = coarse_case(tmp_path, monkeypatch, 17)
+    truth = json.loads((tmp_path / "truth.json").read_text())["rig"]
+
+    def off(of: Case) -> dict[str, float]:
+        found = api.identify(of).parameters
+        return {
+            name: abs(p.value - truth[name]) / p.std
+            for name, p in found.items()
+            if name in truth and p.std
+        }
+
+    counted, left_out = off(case), off(replace(case, twice=None))
+    assert left_out["z_ss"] > 3.0
+    assert max(counted.values()) < 3.0
+    assert np.mean(np.square(list(counted.values()))) < 2.5
 
 
 @pytest.mark.slow
