@@ -52,6 +52,9 @@ UNITS = ("Pa", "Pa", "N")
 GAINS = ("loadcell_gain", "pressure_sensor_gain")
 """Effects that do what an area that is off does."""
 
+ALIKE = 0.15
+"""Difference of both sensors' gains over their sum below which they are alike."""
+
 NOTABLE = 1.05
 """Error over the noise from which a channel that is at its noise is not quite there."""
 
@@ -247,6 +250,16 @@ def _same_as_inputs(
                 f"{abs(off):.2g} % too {'small' if off > 0 else 'large'}, or a load "
                 "cell that is: no log tells these apart"
             )
+        if e.name == "pressure_sensor_gain":
+            one, two = (e.parameters[n].value for n in ("eps_1", "eps_2"))
+            if abs(one - two) < ALIKE * abs(one + two):
+                off = 50 * (one + two)
+                out.append(
+                    f"pressure_sensor_gain of about {off:.2g} % in both sensors looks "
+                    f"like a supply that is {abs(off):.2g} % "
+                    f"{'higher' if off > 0 else 'lower'} than the rig file or the log "
+                    "has it: measure P_s"
+                )
     ends = [n for n in ("delta_1", "delta_2") if n in uncertainty.ends]
     if ends:
         out.append(

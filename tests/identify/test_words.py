@@ -12,7 +12,7 @@ from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.known import Free
 from hydrojax.identify.inference.uncertainty import _at_end, is_whole
 from hydrojax.identify.results.outcome import ChannelErrors, FoundEffect
-from hydrojax.identify.results.summary import _not_quite, with_inputs
+from hydrojax.identify.results.summary import _not_quite, _same_as_inputs, with_inputs
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Score
 from hydrojax.parameters import Spec
@@ -46,6 +46,16 @@ def test_a_factor_and_the_effect_that_does_the_same_are_one_error():
     both = with_inputs(replace(found, effects=(*found.effects, gain)), (area,)).sentence
     assert "not a second one" not in alone
     assert "loadcell_gain is the same error under another name" in both
+
+
+@pytest.mark.parametrize(
+    ("eps", "says"), [((0.107, 0.096), "10 % higher"), ((0.012, -0.0001), None)]
+)
+def test_both_gauges_off_alike_may_be_the_supply(eps, says):
+    own = {f"eps_{i}": SimpleNamespace(value=e) for i, e in enumerate(eps, 1)}
+    gain = FoundEffect("pressure_sensor_gain", own, 0.0, {}, {}, (), "P_a1 + P_a2")
+    said = _same_as_inputs((gain,), SimpleNamespace(ends=frozenset()))
+    assert [says in text for text in said] == ([True] if says else [])
 
 
 def test_a_channel_a_little_above_its_noise_is_said_to_be():
