@@ -13,7 +13,7 @@ from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.inference.uncertainty import Uncertainty, is_whole
-from hydrojax.identify.preparation.noise import CHANNELS
+from hydrojax.identify.preparation.noise import CHANNELS, level
 from hydrojax.identify.results.horizons import drifting, horizons_of
 from hydrojax.identify.results.outcome import (
     Candidate,
@@ -42,6 +42,7 @@ from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.screen import size_that_matters
 from hydrojax.identify.tracing.state import Tracing, strengths
 from hydrojax.parameters import parameter_specs
+from hydrojax.rigfile.plain import text
 from hydrojax.rigfile.schema import SUPPLY
 
 if TYPE_CHECKING:
@@ -103,6 +104,7 @@ def summarise(
             *_same_as_inputs(effects, uncertainty),
             *_untested(case, channels, verdict, state.criteria.at_noise),
             *_not_quite(state, channels, verdict),
+            *_noisier(case, channels, state.criteria.at_noise),
             *drifting(channels, verdict, case.preparation.horizon, case.criteria),
         ),
         notes=_notes(case),
@@ -139,6 +141,28 @@ def _not_quite(
             "validation error enough"
         )
     return [said]
+
+
+def _noisier(
+    case: Case, channels: Mapping[str, ChannelErrors], at_noise: float
+) -> list[str]:
+    """Channels that stay above the noise that is stated for them, and not above their
+    own white noise in the logs.
+    """
+    out = []
+    for name, c in channels.items():
+        stated = case.spec.sensors.get(name)
+        if not stated or c.after <= at_noise * c.noise:
+            continue
+        own = level(case.check_logs, name)
+        if stated < own and c.after <= at_noise * own:
+            line = f'{name} = "{text(float(f"{own:.3g}"), c.unit)}"'
+            out.append(
+                f"all that is left of {name} is white noise that its log has: "
+                f"{own / stated:.2g} times what [sensors] states; if the sensor is that "
+                f"noisy, write {line} there"
+            )
+    return out
 
 
 def _rms(residuals: np.ndarray) -> np.ndarray:

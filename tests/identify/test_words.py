@@ -12,7 +12,12 @@ from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.known import Free
 from hydrojax.identify.inference.uncertainty import _at_end, is_whole
 from hydrojax.identify.results.outcome import ChannelErrors, FoundEffect
-from hydrojax.identify.results.summary import _not_quite, _same_as_inputs, with_inputs
+from hydrojax.identify.results.summary import (
+    _noisier,
+    _not_quite,
+    _same_as_inputs,
+    with_inputs,
+)
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Score
 from hydrojax.parameters import Spec
@@ -56,6 +61,19 @@ def test_both_gauges_off_alike_may_be_the_supply(eps, says):
     gain = FoundEffect("pressure_sensor_gain", own, 0.0, {}, {}, (), "P_a1 + P_a2")
     said = _same_as_inputs((gain,), SimpleNamespace(ends=frozenset()))
     assert [says in text for text in said] == ([True] if says else [])
+
+
+def test_noise_that_the_log_has_is_told_from_what_the_model_lacks():
+    rng = np.random.default_rng(2)
+    F = 200 * np.sin(np.arange(8000) / 300) + 1.5 * rng.standard_normal(8000)
+    log = SimpleNamespace(signals={"F": F}, segments=[(0, 8000)])
+    case = SimpleNamespace(spec=SimpleNamespace(sensors={"F": 0.6}), check_logs=(log,))
+    (said,) = _noisier(case, {"F": ChannelErrors("N", 0.6, 1.53, 1.53)}, 1.1)
+    assert "2.5 times what [sensors] states" in said
+    assert 'write F = "1.5' in said and 'N" there' in said
+    # More than the log's own, or no more than the stated: nothing to say.
+    assert _noisier(case, {"F": ChannelErrors("N", 0.6, 4.0, 1.9)}, 1.1) == []
+    assert _noisier(case, {"F": ChannelErrors("N", 0.6, 4.0, 0.6)}, 1.1) == []
 
 
 def test_a_channel_a_little_above_its_noise_is_said_to_be():
