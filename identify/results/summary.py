@@ -159,8 +159,8 @@ def _noisier(
             line = f'{name} = "{text(float(f"{own:.3g}"), c.unit)}"'
             out.append(
                 f"all that is left of {name} is white noise that its log has: "
-                f"{own / stated:.2g} times what [sensors] states; if the sensor is that "
-                f"noisy, write {line} there"
+                f"{own / stated:.2g} times what [sensors] states; if the sensor is "
+                f"that noisy, write {line} there"
             )
     return out
 
