@@ -156,8 +156,9 @@ def test_a_rig_starts_at_rest(rig, drive):
     off = (
         "internal_leakage.c_il", "external_leakage.c_el", "valve_bias.u_0",
         "underlap.u_ul", "pressure_sensor_bias.b_1", "pressure_sensor_bias.b_2",
+        "pressure_sensor_gain.eps_1", "pressure_sensor_gain.eps_2",
     )  # fmt: skip
-    rig = put(rig, off, [0.0] * 6)
+    rig = put(rig, off, [0.0] * len(off))
     pair = jnp.stack([14e6 * lane] * 2, axis=-1)
     still = StepInput(
         h=1e-3 * lane,
