@@ -22,6 +22,18 @@ SHUT = 1e-3
 """Share by which a counterbalance valve that is shut still passes: what leaks."""
 
 
+def _lost_in_line(
+    k: Float[Array, ""],
+    conductance: Float[Array, "*batch"],
+    available: Float[Array, "*batch"],
+) -> Float[Array, "*batch"]:
+    """What a line loses, `k Q^2` (Pa), in series with an edge, `Q = conductance
+    sqrt(.)` (m^3/(s Pa^0.5)), of all that is available over both (Pa).
+    """
+    load = k * conductance**2
+    return available * load / (1 + load)
+
+
 class SupplyLineDrop(SupplyEffect):
     """Turbulent loss ahead of the valve (C7, C8): `P_s - k_s Q_s^2` stands at it."""
 
@@ -35,8 +47,7 @@ class SupplyLineDrop(SupplyEffect):
         self, conductance: Float[Array, "*batch"], available: Float[Array, "*batch"]
     ) -> Float[Array, "*batch"]:
         """Pressure lost when `conductance sqrt(.)` draws on `available`, Pa."""
-        load = self.k_s * conductance**2
-        return available * load / (1 + load)
+        return _lost_in_line(self.k_s, conductance, available)
 
 
 class ReturnLineDrop(SupplyEffect):
@@ -58,8 +69,7 @@ class ReturnLineDrop(SupplyEffect):
         self, conductance: Float[Array, "*batch"], available: Float[Array, "*batch"]
     ) -> Float[Array, "*batch"]:
         """Pressure lost when `conductance sqrt(.)` drains under `available`, Pa."""
-        load = self.k_r * conductance**2
-        return available * load / (1 + load)
+        return _lost_in_line(self.k_r, conductance, available)
 
 
 class PressureCompensation(SupplyEffect):

@@ -226,7 +226,7 @@ def of_force(found: Factor, of: Inputs) -> Finding:
         lines = scaled(of.spec, [name], float(f"{f:.4g}"))
         says = (
             f"{name} is {_percent(f, 'too high', 'too low')}: write "
-            f"{written(lines)} (the gauge's span)"
+            f"{written(lines)} (the gauge's span; effect pressure_sensor_gain)"
         )
     return Finding(name, "factor", f, found.given, found.mended, "N", says, lines)
 

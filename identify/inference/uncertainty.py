@@ -140,9 +140,9 @@ def _at_end(name: str, end: str, own: Free, spec: Spec) -> str:
     if end == "upper" and is_whole(own, spec):
         return f"{name} ended at 1: these logs show all of it"
     widest = own.upper >= spec.upper if end == "upper" else own.lower <= spec.lower
-    mend = "which can be no wider" if widest else "widen the range"
+    mend = ", the widest that its model is meant for" if widest else "; widen the range"
     return (
-        f"{name} hit the {end} limit of its range; {mend}. No standard deviation is "
+        f"{name} hit the {end} limit of its range{mend}. No standard deviation is "
         "given there"
     )
 

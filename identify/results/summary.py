@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrojax.effects import EFFECTS
 from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.inference.uncertainty import Uncertainty, is_whole
-from hydrojax.identify.preparation.noise import CHANNELS, level
-from hydrojax.identify.results.horizons import drifting, horizons_of
+from hydrojax.identify.preparation.noise import CHANNELS
+from hydrojax.identify.results.horizons import horizons_of
+from hydrojax.identify.results.limits import limits_of
 from hydrojax.identify.results.outcome import (
     Candidate,
     ChannelErrors,
     Covariance,
     Errors,
-    FoundEffect,
     Outcome,
     Unexplained,
 )
@@ -42,22 +41,12 @@ from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.screen import size_that_matters
 from hydrojax.identify.tracing.state import Tracing, strengths
 from hydrojax.parameters import parameter_specs
-from hydrojax.rigfile.plain import text
 from hydrojax.rigfile.schema import SUPPLY
 
 if TYPE_CHECKING:
     from hydrojax.identify.case import Case
 
 UNITS = ("Pa", "Pa", "N")
-
-GAINS = ("loadcell_gain", "pressure_sensor_gain")
-"""Effects that do what an area that is off does."""
-
-ALIKE = 0.15
-"""Difference of both sensors' gains over their sum below which they are alike."""
-
-NOTABLE = 1.05
-"""Error over the noise from which a channel that is at its noise is not quite there."""
 
 
 def summarise(
@@ -98,15 +87,7 @@ def summarise(
         effects=effects,
         candidates=_candidates(state),
         unexplained=left,
-        limits=(
-            *uncertainty.limits,
-            *_undecided(effects),
-            *_same_as_inputs(effects, uncertainty),
-            *_untested(case, channels, verdict, state.criteria.at_noise),
-            *_not_quite(state, channels, verdict),
-            *_noisier(case, channels, state.criteria.at_noise),
-            *drifting(channels, verdict, case.preparation.horizon, case.criteria),
-        ),
+        limits=limits_of(case, state, uncertainty, effects, channels, verdict),
         notes=_notes(case),
         series=series_of(case, before, after, signals, seen),
         values=state.named,
@@ -114,55 +95,6 @@ def summarise(
         criteria=state.criteria,
         files=files_of(case),
     )
-
-
-def _not_quite(
-    state: Tracing, channels: Mapping[str, ChannelErrors], verdict: str
-) -> list[str]:
-    """Channels that count as at their noise and are above it, with what shows there."""
-    high = [
-        f"{name} is at {c.after / c.noise:.3g} times its noise"
-        for name, c in channels.items()
-        if c.noise and c.after > NOTABLE * c.noise
-    ]
-    if verdict == "unknown" or not high:
-        return []
-    p = family(state.scores, state.criteria)
-    shows = [
-        name
-        for name in p
-        if p[name] < state.criteria.level and status(state, name, p[name]) == "rejected"
-    ]
-    said = f"{' and '.join(high)}, which counts as at it"
-    if shows:
-        also = "shows" if len(shows) == 1 else "show"
-        said += (
-            f"; {' and '.join(shows)} {also} in what is left, and would not lower the "
-            "validation error enough"
-        )
-    return [said]
-
-
-def _noisier(
-    case: Case, channels: Mapping[str, ChannelErrors], at_noise: float
-) -> list[str]:
-    """Channels that stay above the noise that is stated for them, and not above their
-    own white noise in the logs.
-    """
-    out = []
-    for name, c in channels.items():
-        stated = case.spec.sensors.get(name)
-        if not stated or c.after <= at_noise * c.noise:
-            continue
-        own = level(case.check_logs, name)
-        if stated < own and c.after <= at_noise * own:
-            line = f'{name} = "{text(float(f"{own:.3g}"), c.unit)}"'
-            out.append(
-                f"all that is left of {name} is white noise that its log has: "
-                f"{own / stated:.2g} times what [sensors] states; if the sensor is "
-                f"that noisy, write {line} there"
-            )
-    return out
 
 
 def _rms(residuals: np.ndarray) -> np.ndarray:
@@ -233,64 +165,6 @@ def _left(
         for c in seen
         if errors[c] > state.criteria.at_noise * state.noise[c]
     )
-
-
-def _untested(
-    case: Case, channels: Mapping[str, ChannelErrors], verdict: str, at_noise: float
-) -> list[str]:
-    """Test errors that disagree with a verdict of the other logs."""
-    if verdict == "unknown" or case.test is None:
-        return []
-    others = "validation" if case.held_out else "fitted"
-    return [
-        f"{name} is {c.after / c.noise:.2f} times its noise on the test logs, which "
-        f"took part in no decision: the verdict holds for the {others} logs"
-        for name, c in channels.items()
-        if c.after > at_noise * c.noise
-    ]
-
-
-def _undecided(effects: tuple[FoundEffect, ...]) -> list[str]:
-    """What would decide between effects that these logs do not distinguish."""
-    return [
-        f"{e.name} and {other} look alike in these logs: `hydrojax excite RIG "
-        f"--separate {e.name} {other}` finds an experiment that distinguishes them"
-        for e in effects
-        for other in e.cannot_tell_from
-        if other in EFFECTS
-    ]
-
-
-def _same_as_inputs(
-    effects: tuple[FoundEffect, ...], uncertainty: Uncertainty
-) -> list[str]:
-    """Inputs that would look just the same, with their size where it is known."""
-    out = []
-    for e in effects:
-        if e.name == "loadcell_gain":
-            off = 100 * e.parameters["eps"].value
-            out.append(
-                f"loadcell_gain of {off:.2g} % is the same as areas that are "
-                f"{abs(off):.2g} % too {'small' if off > 0 else 'large'}, or a load "
-                "cell that is: no log tells these apart"
-            )
-        if e.name == "pressure_sensor_gain":
-            one, two = (e.parameters[n].value for n in ("eps_1", "eps_2"))
-            if abs(one - two) < ALIKE * abs(one + two):
-                off = 50 * (one + two)
-                out.append(
-                    f"pressure_sensor_gain of about {off:.2g} % in both sensors looks "
-                    f"like a supply that is {abs(off):.2g} % "
-                    f"{'higher' if off > 0 else 'lower'} than the rig file or the log "
-                    "has it: measure P_s"
-                )
-    ends = [n for n in ("delta_1", "delta_2") if n in uncertainty.ends]
-    if ends:
-        out.append(
-            f"{' and '.join(ends)}: an offset of the position's zero is the same as "
-            "delta_1 and delta_2 of opposite signs"
-        )
-    return out
 
 
 def _notes(case: Case) -> tuple[str, ...]:
@@ -389,7 +263,9 @@ def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
         beyond = ", and explains at least as much as any effect"
         lead = f"An input looks wrong{beyond if outcome.effects else ''}: "
         lead += f"{found[0].says}."
-        own = [e.name for e in outcome.effects if e.name in GAINS]
-        if found[0].finding == "factor" and own:
-            lead += f" {own[0]} is the same error under another name, not a second one."
+        same = [e.name for e in outcome.effects if f"effect {e.name})" in lead]
+        if same:
+            lead += (
+                f" {same[0]} is the same error under another name, not a second one."
+            )
     return replace(outcome, inputs=found, sentence=f"{lead} {outcome.sentence}")

@@ -33,13 +33,21 @@ class Criteria:
     at_noise: float = 1.1
     """RMS error over the noise up to which a channel is at its noise, 1.
     `benchmarks.trace`."""
+    notable: float = 1.05
+    """RMS error over the noise from which a report says that a channel which is at its
+    noise is not quite there, 1. Half way to `at_noise`."""
+    alike_gains: float = 0.15
+    """Difference of the gains of both pressure sensors over their sum, below which a
+    report says that a supply looks like them, 1. Convention: a few of the standard
+    deviations with which a supply that is off by 10 % comes out as both."""
     fair_share: float = 0.2
     """Share of a channel's excess over its noise (in squares) that an effect has to
     take away where it does not bring the channel to its noise, 1: less is parameters
     that compensate, not an explanation. `benchmarks.trace`."""
     beyond_chance: float = 3.0
-    """Standard errors by which the validation error must fall, windows paired, 1.
-    Convention (three sigma); `benchmarks.trace`."""
+    """Standard errors by which the validation error must fall, windows paired, or by
+    which a channel that comes down to its noise stood above it, 1. Convention (three
+    sigma); `benchmarks.trace`."""
     worse_by: float = 2.0
     """Standard errors by which an alternative's validation error must be larger to be
     distinguished from the effect that was added, 1. Convention (two sigma)."""

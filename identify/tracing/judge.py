@@ -65,7 +65,7 @@ def _brought_down(
     An effect that shows in one window or two (a reversal) has no chance where windows
     are paired: there is no scatter to be had from them. But of noise alone the mean
     square is 1, within `sqrt(2 / windows)` even if no more than one sample of a window
-    were independent, and the fall is that of logs which took no part in the fit.
+    were independent; and where there are validation logs no fit has seen the fall.
     """
     beyond = (before**2 - after**2) * np.sqrt(windows / 2) > own.beyond_chance
     return (before > own.at_noise) & (after <= own.at_noise) & beyond

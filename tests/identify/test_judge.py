@@ -18,9 +18,7 @@ def state() -> SimpleNamespace:
     def rms(sse):
         return np.sqrt(np.sum(sse, axis=0) / (WINDOWS * TICKS))
 
-    problem = SimpleNamespace(sees_pressures=True)
-    check = SimpleNamespace(rms=rms)
-    return SimpleNamespace(criteria=Criteria(), problem=problem, check=check)
+    return SimpleNamespace(criteria=Criteria(), check=SimpleNamespace(rms=rms))
 
 
 def errors(seed: int, *more: tuple[slice, float]) -> np.ndarray:

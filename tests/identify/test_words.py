@@ -11,13 +11,9 @@ import pytest
 from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.known import Free
 from hydrojax.identify.inference.uncertainty import _at_end, is_whole
+from hydrojax.identify.results.limits import _noisier, _not_quite, _same_as_inputs
 from hydrojax.identify.results.outcome import ChannelErrors, FoundEffect
-from hydrojax.identify.results.summary import (
-    _noisier,
-    _not_quite,
-    _same_as_inputs,
-    with_inputs,
-)
+from hydrojax.identify.results.summary import with_inputs
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Score
 from hydrojax.parameters import Spec
@@ -31,14 +27,24 @@ EXPONENT = Spec("1", 1.2, 1.0, 1.4, "an exponent")
     ("end", "own", "spec", "says"),
     [
         ("lower", Free(0.5, 0.0, 2.0), EXPONENT, "these logs show none of it"),
-        ("upper", Free(1.2, 1.0, 1.4), EXPONENT, "which can be no wider"),
-        ("lower", Free(1.2, 1.0, 1.3), EXPONENT, "which can be no wider"),
+        (
+            "upper",
+            Free(1.2, 1.0, 1.4),
+            EXPONENT,
+            "the widest that its model is meant for",
+        ),
+        (
+            "lower",
+            Free(1.2, 1.0, 1.3),
+            EXPONENT,
+            "the widest that its model is meant for",
+        ),
         ("upper", Free(1.2, 1.0, 1.3), EXPONENT, "widen the range"),
         ("upper", Free(0.0, 0.0, 1.0), SHARE, "these logs show all of it"),
         ("upper", Free(0.0, 0.0, 0.8), SHARE, "widen the range"),
     ],
 )
-def test_only_a_range_that_can_be_wider_is_to_be_widened(end, own, spec, says):
+def test_only_a_range_narrower_than_the_model_s_is_to_be_widened(end, own, spec, says):
     assert says in _at_end("e.n", end, own, spec)
     assert is_whole(own, spec) == (spec is SHARE and own.upper == 1.0)
 
@@ -46,10 +52,13 @@ def test_only_a_range_that_can_be_wider_is_to_be_widened(end, own, spec, says):
 def test_a_factor_and_the_effect_that_does_the_same_are_one_error():
     found = explained()
     gain = FoundEffect("loadcell_gain", {}, 0.0, {}, {}, (), "F")
-    area = Finding("area", "factor", 0.98, 6.9, 4.1, "N", "area is 2 % too large")
+    says = "area is 2 % too large; or F is 2 % too small (effect loadcell_gain)"
+    area = Finding("area", "factor", 0.98, 6.9, 4.1, "N", says)
+    supply = Finding("P_s", "factor", 0.9, 9e3, 4e3, "Pa", "P_s is 10 % too high")
     alone = with_inputs(found, (area,)).sentence
-    both = with_inputs(replace(found, effects=(*found.effects, gain)), (area,)).sentence
-    assert "not a second one" not in alone
+    found = replace(found, effects=(*found.effects, gain))
+    both, other = (with_inputs(found, (one,)).sentence for one in (area, supply))
+    assert "not a second one" not in alone + other
     assert "loadcell_gain is the same error under another name" in both
 
 
@@ -59,7 +68,7 @@ def test_a_factor_and_the_effect_that_does_the_same_are_one_error():
 def test_both_gauges_off_alike_may_be_the_supply(eps, says):
     own = {f"eps_{i}": SimpleNamespace(value=e) for i, e in enumerate(eps, 1)}
     gain = FoundEffect("pressure_sensor_gain", own, 0.0, {}, {}, (), "P_a1 + P_a2")
-    said = _same_as_inputs((gain,), SimpleNamespace(ends=frozenset()))
+    said = _same_as_inputs((gain,), SimpleNamespace(ends=frozenset()), 0.15)
     assert [says in text for text in said] == ([True] if says else [])
 
 
@@ -89,6 +98,7 @@ def test_a_channel_a_little_above_its_noise_is_said_to_be():
         scores={
             "stribeck": scored("stribeck", 1e-6),
             "backlash": scored("backlash", 1),
+            "payload_inertia": scored("payload_inertia", 1e-6),
         },
     )
     channels = {
@@ -98,5 +108,6 @@ def test_a_channel_a_little_above_its_noise_is_said_to_be():
     (said,) = _not_quite(state, channels, "nothing missing")
     assert said.startswith("F is at 1.08 times its noise, which counts as at it")
     assert "stribeck shows" in said and "backlash" not in said
+    assert "payload_inertia" not in said  # it was not tried
     assert _not_quite(state, channels, "unknown") == []
     assert _not_quite(state, {"P_a1": channels["P_a1"]}, "explained") == []
