@@ -157,6 +157,20 @@ def worse(
     return bool(d.mean() > by * d.std(ddof=1) / np.sqrt(len(d)))
 
 
+def as_good(
+    state: Tracing,
+    a: Float[np.ndarray, "windows 3"],
+    b: Float[np.ndarray, "windows 3"],
+    noise: Float[np.ndarray, "3"],
+) -> bool:
+    """Whether errors `a` are as good as `b`: not larger beyond chance, and in no
+    channel by more than what matters, for which one window may be enough.
+    """
+    own, rms = state.criteria, state.check.rms
+    near = rms(a) <= rms(b) + own.matters * noise
+    return bool(np.all(near) and not worse(a, b, noise, own.worse_by))
+
+
 def better(
     a: Float[np.ndarray, "windows 3"],
     b: Float[np.ndarray, "windows 3"],

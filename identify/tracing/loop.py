@@ -13,6 +13,7 @@ from hydrojax.identify.estimation.fit import FitPoint, fit_force, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.afar import together
 from hydrojax.identify.tracing.judge import (
+    as_good,
     better,
     chance,
     cost,
@@ -211,9 +212,8 @@ def _round(
         return state
     helped.sort(key=lambda h: h[0])
     # Of those that do as well the simplest: a constant force, not a weight that turns.
-    near = [
-        h for h in helped if not worse(h[4], helped[0][4], noise, criteria.worse_by)
-    ]
+    best = helped[0][4]
+    near = [h for h in helped if as_good(state, h[4], best, noise)]
     first = min(near, key=lambda h: len(strengths(effects[h[1]])))
     _, name, problem, point, after = first
     p_value = min(p[name], len(scores) * chance(before, after, noise))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.identify.tracing.judge import judge
+from hydrojax.identify.tracing.judge import as_good, judge, worse
 
 NOISE = np.array([np.inf, np.inf, 1.5])
 WINDOWS, TICKS = 60, 250
@@ -69,3 +69,11 @@ def test_noise_does_not_bring_a_channel_down():
     few = SimpleNamespace(**vars(state()) | {"check": SimpleNamespace(rms=rms)})
     assert rms(before)[2] > 1.1 * 1.5
     assert judge(few, before, after, NOISE, BY) == "does not help"
+
+
+def test_what_fails_in_one_window_is_not_as_good():
+    """Paired windows cannot tell; the simpler of two is not taken for it."""
+    best, fails = errors(1), errors(2, (slice(7, 8), 40.0))
+    assert not worse(fails, best, NOISE, 2.0)
+    assert not as_good(state(), fails, best, NOISE)
+    assert as_good(state(), errors(2), best, NOISE)
