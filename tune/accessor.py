@@ -42,6 +42,8 @@ def sentences(data: xr.Dataset) -> list[str]:
             f"{way}: widest band within 1 dB {band:.1f} Hz at {where}, "
             f"peak {peak:.1f} dB"
         )
+        by = data.attrs.get(f"{way}_runs", "XLA")
+        said[-1] += "" if by == "XLA" else f"; run by {by}"
     return said
 
 

@@ -114,29 +114,43 @@ def white_noise(
     return Excitation("noise", shape, noise, segment, hertz, None, segment)
 
 
+def desired_force(setting: Setting, shape: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """F_d of an excitation's shape, N."""
+    return setting.F_0 + setting.amplitude / jnp.sqrt(2.0) * shape
+
+
+def step_excited(
+    setting: Setting,
+    frozen: bool,
+    carry: Any,
+    given: tuple[Float[Array, ""], Float[Array, "4"], Float[Array, ""]],
+) -> tuple[Any, Float[Array, "4"]]:
+    """One period of the loop: its state, and the signals `KEEP`, SI.
+
+    Args:
+        setting: the loop and its point.
+        frozen: whether its adaptation stands still.
+        carry: its state.
+        given: the excitation's shape, standard normal numbers, and the time, s.
+    """
+    shape, noise, t = given
+    F_d = desired_force(setting, shape)
+    one = operating_point.scenario(setting, F_d[None], noise[None], t[None])
+    loop = operating_point.frozen(setting.loop) if frozen else setting.loop
+    carry, now = step_loop(loop, carry, operating_point.moment(one, 0))
+    return carry, jnp.stack([now[name] for name in KEEP])
+
+
 def run_excited(
     setting: Setting, given: Excitation, frozen: bool = False, settle: int = 0
-) -> tuple[Float[Array, "n"], Float[Array, "n 4"]]:
-    """Run the loop from its operating point.
-
-    Returns:
-        F_d, N, and the signals `KEEP`, SI.
-    """
+) -> Float[Array, "n 4"]:
+    """The signals `KEEP` of the loop from its operating point, SI."""
     carry = operating_point.initial_state(setting, settle=settle)
-    loop = operating_point.frozen(setting.loop) if frozen else setting.loop
-    n = given.shape.size
-    t = jnp.arange(n) * loop.h
-    F_d = setting.F_0 + setting.amplitude / jnp.sqrt(2.0) * jnp.asarray(given.shape)
-
-    def body(carry, i):
-        one = operating_point.scenario(
-            setting, F_d[i][None], noise[i][None], t[i][None]
-        )
-        carry, now = step_loop(loop, carry, operating_point.moment(one, 0))
-        return carry, jnp.stack([now[name] for name in KEEP])
-
-    noise = jnp.asarray(given.noise)
-    return F_d, jax.lax.scan(body, carry, jnp.arange(n))[1]
+    t = jnp.arange(given.shape.size) * setting.loop.h
+    course = (jnp.asarray(given.shape), jnp.asarray(given.noise), t)
+    return jax.lax.scan(
+        lambda c, now: step_excited(setting, frozen, c, now), carry, course
+    )[1]
 
 
 def segments(x: Float[Array, "n"], size: int) -> Complex[Array, "segments lines"]:
@@ -182,7 +196,14 @@ def measure(
 
     NaN where the run diverged.
     """
-    F_d, table = run_excited(setting, given, frozen, settle)
+    return figures(setting, given, run_excited(setting, given, frozen, settle))
+
+
+def figures(
+    setting: Setting, given: Excitation, table: Float[Array, "n 4"]
+) -> dict[str, Any]:
+    """What `measure` gives, of a run's signals `KEEP`."""
+    F_d = desired_force(setting, jnp.asarray(given.shape))
     late = table[given.skip :]
     F, u, P_1, P_2 = late.T
     H, coherence = estimate_response(given, F_d, table[:, 0])

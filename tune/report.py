@@ -82,6 +82,8 @@ NOTES = {
     "amplitude": "Amplitude, N",
     "F_0": "Mean force, N",
     "v": "Speed of the joint, m/s",
+    "multisine_runs": "Runs under a multisine",
+    "noise_runs": "Runs under noise",
 }
 """What a sweep says of itself beside its axes."""
 

@@ -15,7 +15,7 @@ import xarray as xr
 from hydrojax.jax_setup import cores
 from hydrojax.programs.compiled import make_room, program
 from hydrojax.rigfile.quantities import Setting
-from hydrojax.tune import linearize, measure, metrics, operating_point
+from hydrojax.tune import linearize, measure, metrics, native, operating_point
 from hydrojax.tune.chunks import Chunks
 from hydrojax.tune.dataset import dataset
 from hydrojax.tune.devices import on_all_devices
@@ -37,6 +37,7 @@ class _Work:
             0 if operating_point.still(some) else round(operating_point.SETTLE * rate)
         )
         self.hertz = metrics.grid(float(jnp.min(1 / some.loop.h)))
+        self.run_by: dict[str, str] = {}
         if "linear" in plan.methods:
             self.linear = self._linear(some)
 
@@ -64,6 +65,9 @@ class _Work:
 
     def _measured(self, method: str) -> Callable[..., Any]:
         given = self.plan.excitations[method]
+        in_c, self.run_by[method] = native.measured(self.plan, given, self.settle)
+        if in_c is not None:
+            return in_c
 
         def one(row):
             s = self.plan.at(row)
@@ -158,6 +162,8 @@ def run_sweep(
             for name in parts[0]
         }
     data = dataset(plan, found)
+    for method, words in (work.run_by if work else {}).items():
+        data.attrs[f"{method}_runs"] = words
     chunks.finish(data)
     return data
 

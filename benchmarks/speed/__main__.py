@@ -19,7 +19,7 @@ from . import build_c, table
 from .cold import fresh
 from .measured import Section
 
-GROUPS = ("loop", "replay", "identify", "trace", "scaling")
+GROUPS = ("loop", "sweep", "replay", "identify", "trace", "scaling")
 ROOT = Path(__file__).parent.parent.parent
 PACKAGES = (
     "jax", "jaxlib", "numpy", "scipy", "numba", "diffrax", "optimistix", "casadi",

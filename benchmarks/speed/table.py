@@ -10,6 +10,7 @@ Found = Mapping[str, Any]
 
 TITLES = {
     "loop": "Closed loop",
+    "sweep": "A sweep",
     "replay": "Replay and its derivative",
     "identify": "A whole identification",
     "trace": "Trace",

@@ -1,0 +1,156 @@
+"""Sweeps in generated C: held to XLA's runs, and left to XLA where they differ."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from hydrojax.effects import EFFECTS
+from hydrojax.export.codegen import compiler
+from hydrojax.paper.records import reference
+from hydrojax.parameters import parameter_specs
+from hydrojax.rigfile.quantities import open_setting, quantities
+from hydrojax.tune import measure, native, plan, sweep
+from hydrojax.tune.axes import make_axes
+from hydrojax.tune.ensemble import Plants
+
+SPEC, _ = reference()
+
+needs_compiler = pytest.mark.skipif(
+    compiler.compiler() is None, reason="there is no C compiler"
+)
+
+
+def plan_of(axes, spec=SPEC, **more):
+    setting = open_setting(spec)
+    known = quantities(spec, setting)
+    given = {"multisine": measure.multisine(1000.0, period=0.25, lines=8)}
+    return plan.with_excitations(
+        plan.Plan(setting, make_axes(axes, known), known, ("multisine",),
+                  excitations=given, **more)
+    )  # fmt: skip
+
+
+AXES = {"k_p": [0.5, 1.0, 2.0], "k_f": [0.5, 2.0]}
+"""Gains of loops that come to rest, in the paper's units."""
+
+
+def both(made):
+    """What XLA and C make of a plan's cells, [cells, n, 4] each."""
+    given = made.excitations["multisine"]
+    work = sweep._Work(made)
+    rows = made.table()
+    run = jax.jit(
+        jax.vmap(
+            lambda row: measure.run_excited(
+                made.at(row), given, made.frozen, work.settle
+            )
+        )
+    )
+    by_xla = np.asarray(run(rows))
+    by_c = native.native_runs(made, given, work.settle)(rows)
+    return by_xla, np.moveaxis(by_c, -1, 0)
+
+
+def assert_alike(made, periods=None):
+    theirs, ours = (a[:, :periods] for a in both(made))
+    size = np.abs(theirs).max(1, keepdims=True)
+    assert (np.abs(ours - theirs) <= 1e-9 * size).all()
+    assert (np.ptp(theirs[:, :, 0], axis=0) > 0).any(), "all cells are the same"
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_gains_at_rest():
+    assert_alike(plan_of(AXES))
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_a_plant_that_differs_and_moves():
+    """Settled points, and cells that differ in plant, speed and amplitude."""
+    setting = open_setting(SPEC)
+    here = float(quantities(SPEC, setting)["c_p1"].get(setting))
+    axes = {"v": [0.0, 0.02], "c_p1": [here, 1.2 * here], "amplitude": [10.0, 30.0]}
+    assert_alike(plan_of(axes, frozen=True))
+
+
+ROD = ("backlash", "rod_compliance")
+"""Effects that solve for the piston's own motion in a loop."""
+
+
+@pytest.mark.parametrize("name", ROD)
+def test_what_has_no_form_is_left_to_xla(name, monkeypatch):
+    monkeypatch.setattr(native, "WORTH", 0)
+    made = plan_of({"k_p": [0.5, 1.0]}, replace(SPEC, effects={name: {}}))
+    call, words = native.measured(made, made.excitations["multisine"], 0)
+    assert call is None
+    assert words == "XLA (c: a loop of many rounds has no form in lanes)"
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_every_effect():
+    """A rig with all of the catalogue; each plant has one of them in it."""
+    spec = replace(SPEC, effects={name: {} for name in EFFECTS if name not in ROD})
+    known = parameter_specs(open_setting(spec).loop.rig)
+    strong = [n for n, s in known.items() if s.strength]
+    values = np.diag([known[n].scale for n in strong])
+    plants = Plants(tuple(strong), values, "one effect each")
+    made = plan_of({"k_p": [0.5, 1.0]}, spec, plants=plants)
+    theirs, ours = (a[:, : native.EARLY] for a in both(made))
+    size = np.abs(theirs).max(1, keepdims=True)
+    off = np.abs(ours - theirs).max((1, 2)) > 1e-9 * size.max()
+    assert not off.any(), np.repeat(strong, 2)[off]
+
+
+@needs_compiler
+def test_a_sweep_is_the_same(monkeypatch):
+    """In its numbers; and it says what ran it."""
+    made = plan_of(AXES)
+    theirs = sweep.run_sweep(made)
+    monkeypatch.setattr(native, "WORTH", 0)
+    ours = sweep.run_sweep(made)
+    assert theirs.attrs["multisine_runs"] == "XLA"
+    assert ours.attrs["multisine_runs"] == "C, as XLA to 1e-09 in 6 cells"
+    for name in theirs.data_vars:
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-6, err_msg=name)
+
+
+def test_what_differs_is_seen(monkeypatch):
+    """A C that is off by a millionth runs nothing; one that parts late is said."""
+    made = plan_of({"k_p": [8.0, 16.0]})
+    given = made.excitations["multisine"]
+    rows = made.table()
+    true = np.stack([measure.run_excited(made.at(r), given) for r in rows], axis=-1)
+    monkeypatch.setattr(native, "WORTH", 0)
+
+    def said(factor, since):
+        table = true.copy()
+        table[since:, 0] *= factor
+        monkeypatch.setattr(native, "native_runs", lambda *_: lambda rows: table)
+        return native.measured(made, given, 0)
+
+    call, words = said(1 + 1e-6, 0)
+    assert call is None and "differs" in words
+    call, words = said(1 + 1e-6, native.EARLY)
+    assert call is not None and "but for 2 that do not come to rest" in words
+    call, words = said(np.nan, native.EARLY)
+    assert call is not None and "but for 2" in words
+
+
+def test_without_a_compiler(monkeypatch):
+    monkeypatch.setattr(native, "WORTH", 0)
+    monkeypatch.setattr(compiler, "compiler", lambda: None)
+    made = plan_of({"k_p": [8.0, 16.0]})
+    call, words = native.measured(made, made.excitations["multisine"], 0)
+    assert call is None
+    assert words.startswith("XLA (sweep: needs a C compiler")
+
+
+def test_a_small_sweep_is_left_to_xla():
+    made = plan_of({"k_p": [8.0, 16.0]})
+    assert native.measured(made, made.excitations["multisine"], 0) == (None, "XLA")
