@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.errors import CELLS, InputError
+from hydrojax.export.codegen.lanes import LANES
 from hydrojax.rigfile.fingerprint import code_fingerprint
 from hydrojax.rigfile.quantities import Quantity, Setting
 from hydrojax.tune import linearize, measure, metrics, operating_point
@@ -138,12 +139,14 @@ def with_excitations(plan: Plan) -> Plan:
 
 
 def chunk_size(plan: Plan, method: str) -> int:
-    """Cells in a chunk, as many on every device."""
+    """Cells in a chunk, as many on every device; whole groups of C's where it may."""
     if method == "linear":
         each, most = metrics.LINES * 10 * 16 * 4.0, 256
     else:
         each = plan.excitations[method].shape.size * len(measure.KEEP) * 8 * 3.0
         most = 128
     fits = plan.chunk or int(min(max(MEMORY // each, 16), most, np.prod(plan.shape)))
+    if not plan.chunk and fits > LANES:
+        fits -= fits % LANES
     devices = jax.local_device_count()
     return -(-fits // devices) * devices
