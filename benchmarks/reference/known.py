@@ -89,6 +89,11 @@ KNOWN: dict[str, Known] = {
         "0.05 to 0.5 MPa at rated flow",
         "It grows with the square of the flow and acts only on the chamber that is being filled. Log the supply pressure at the valve, and it is gone.",
     ),
+    "port_relief": Known(
+        {"g_1": 2e-13, "g_2": 2e-13, "P_set1": 7.5e6, "P_set2": 7.5e6},
+        "opens at 15 to 35 MPa; 1e-11 to 1e-9 m³/(s·Pa) above",
+        "It acts above its setting only, where a leak acts from zero. A log that never reaches the setting shows none of it.",
+    ),
     "return_line_drop": Known(
         {"k_r": 4e14},
         "0.2 to 1 MPa at rated flow",

@@ -121,6 +121,10 @@ def regressors(s: Mapping[str, np.ndarray]) -> Columns:
         "return_line_drop": [
             flow(np.minimum(u, 0) ** 3 * g_1, np.maximum(u, 0) ** 3 * g_2)
         ],
+        "port_relief": [
+            flow(np.maximum(p_1 - 0.6 * P_S, 0), none),
+            flow(none, np.maximum(p_2 - 0.6 * P_S, 0)),
+        ],
         "entrained_air": [flow(r_1 * air / p_1**1.83, r_2 * air / p_2**1.83)],
         "orifice_transition": [flow(u / g_1**3, -u / g_2**3)],
         "underlap": [

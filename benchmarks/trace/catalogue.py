@@ -99,6 +99,11 @@ LATER: dict[str, Kind] = {
         ("eps_1", "eps_2"),
         largest={"eps_1": 0.05, "eps_2": 0.02},
     ),
+    "port_relief": Kind(
+        {"g_1": 5e-14, "g_2": 5e-14, "P_set1": 7.2e6, "P_set2": 7.4e6},
+        ("g_1", "g_2"),
+        largest={"g_1": 1e-11, "g_2": 1e-11},
+    ),
     "return_line_drop": Kind({"k_r": 1.5e14}, ("k_r",), largest={"k_r": 2e15}),
 }
 """Effects that joined the vocabulary when the mix had been drawn: `--more later=N`."""

@@ -129,6 +129,14 @@ class Plant:
             cross = leak * (P[0] - P[1])
             q = q - e("external_leakage", "c_el") * (P - P_r)
             q = q + np.array([-cross, cross])
+        if e.has("port_relief"):
+            g, setting = (
+                np.array([e("port_relief", name + port) for port in "12"]).reshape(
+                    2, -1
+                )
+                for name in ("g_", "P_set")
+            )
+            q = q - g * np.maximum(P - P_r - setting, 0)
         soft = 1 / self.r["beta"]
         if e.has("entrained_air"):
             n, p = e("entrained_air", "n"), np.maximum(P, 0.0) + P_0

@@ -203,6 +203,35 @@ class ExternalLeakage(FlowEffect):
         return -self.c_el * (at.P_a1 - at.P_r), -self.c_el * (at.P_a2 - at.P_r)
 
 
+class PortRelief(FlowEffect):
+    """Relief valve from each chamber to the return, as mobile machines have them.
+
+    Above its setting, in proportion to what is above: `g_i (P_i - P_r - P_seti)`.
+    """
+
+    name = "port_relief"
+    residual_axis = "P_a1 + P_a2"
+    g_1: Float[Array, ""] = param(
+        "m^3/(s*Pa)", 0.0, 0.0, 3e-9, "flow over pressure, chamber 1", strength=True,
+        size=1e-12,
+    )  # fmt: skip
+    g_2: Float[Array, ""] = param(
+        "m^3/(s*Pa)", 0.0, 0.0, 3e-9, "flow over pressure, chamber 2", strength=True,
+        size=1e-12,
+    )  # fmt: skip
+    P_set1: Float[Array, ""] = param(
+        "Pa", 1.5e7, 1e6, 4.5e7, "setting, chamber 1", grid=(8e6, 1.5e7, 2.5e7)
+    )
+    P_set2: Float[Array, ""] = param(
+        "Pa", 1.5e7, 1e6, 4.5e7, "setting, chamber 2", grid=(8e6, 1.5e7, 2.5e7)
+    )
+
+    def flow(self, at):
+        over = (at.P_a1 - at.P_r - self.P_set1, at.P_a2 - at.P_r - self.P_set2)
+        opened = [jnp.maximum(p, 0.0) for p in over]
+        return -self.g_1 * opened[0], -self.g_2 * opened[1]
+
+
 class DeadVolume(VolumeEffect):
     """Oil beside the stroke in hoses and manifold (C3): `V_i = A x_i + V_0i`.
 

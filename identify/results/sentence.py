@@ -92,7 +92,8 @@ def verdict_sentence(
         )
     if command == "identify":
         return f"The declared model does not explain {channels}: {rest}. Try trace."
-    return f"{start}no known effect explains the residual of {channels}: {rest}."
+    unknown = f"{start}no known effect explains the residual of {channels}: {rest}."
+    return unknown[0].upper() + unknown[1:]
 
 
 def motion_sentence(motion: PredictedMotion) -> str:

@@ -104,6 +104,9 @@ def test_flow_laws_have_their_closed_forms():
     assert leak == pytest.approx(stiff * 1e-12 * np.array([5e6, -5e6]))
     out = rates({"external_leakage": {"c_el": 1e-12}}, shut)
     assert out == pytest.approx(-stiff * 1e-12 * np.array([3.75e6, 8.75e6]))
+    relief = {"g_1": 1e-12, "g_2": 2e-12, "P_set1": 4e6, "P_set2": 4e6}
+    out = rates({"port_relief": relief}, shut)
+    assert out == pytest.approx(-stiff * 2e-12 * np.array([0, 4.75e6]))
     spare = rates({"dead_volume": {"V_0": 1e-5}}, up)
     assert spare == pytest.approx(rates({}, up) * volume / (volume + 1e-5))
     loss, c = 1e14, RIG["c_p1"] * u

@@ -46,6 +46,9 @@ SHAPES = {
 }
 """What an effect takes from the rig and the logs: here, of the synthetic ones."""
 
+REACHED = {"port_relief.P_set1": 5e6, "port_relief.P_set2": 6e6}
+"""Settings that the synthetic logs reach, where those of the declaration are beyond."""
+
 ALL = (0, 1, 2)
 REACH = {
     "command": ALL,
@@ -122,6 +125,8 @@ ONE_CHAMBER = {
     "return_overlap.o_n2": (1, 2),
     "counterbalance.k_1": (0, 2),
     "counterbalance.k_2": (1, 2),
+    "port_relief.g_1": (0, 2),
+    "port_relief.g_2": (1, 2),
 }
 
 LOGGER = {"signal_filter.tau": ALL}
@@ -175,6 +180,8 @@ def test_dormant_effect_is_absent(rig, without, replays, name):
 def test_dormant_effect_is_alive(rig, without, replays, name, field):
     """The derivative at zero is the one-sided difference, and is not zero."""
     rig, replay = add(rig, [make(name)]), replays(name)
+    reached = {n: v for n, v in REACHED.items() if n in parameter_specs(rig)}
+    rig = put(rig, list(reached), list(reached.values()))
     strength = f"{name}.{field}"
     spec = parameter_specs(rig)[strength]
     got = np.asarray(replay(rig, strength)[1]) * spec.scale / NOISE
@@ -240,6 +247,14 @@ def test_leakages_are_laminar():
     assert np.allclose(got, (4.5e-7, -4.5e-7), rtol=1e-12)  # from high to low
     got = EFFECTS["external_leakage"](c_el=2e-13).flow(AT)
     assert np.allclose(got, (-2e-13 * 4.75e6, -2e-13 * 6.25e6), rtol=1e-12)
+
+
+def test_a_relief_valve_opens_above_its_setting():
+    """Of chamber 2 alone, whose pressure over the return is above it."""
+    relief = EFFECTS["port_relief"](g_1=1e-11, g_2=2e-11, P_set1=5e6, P_set2=6e6)
+    assert np.allclose(relief.flow(AT), (0.0, -2e-11 * 0.25e6), rtol=1e-12)
+    low = EFFECTS["port_relief"](g_1=1e-11, g_2=2e-11, P_set1=4e6, P_set2=7e6)
+    assert np.allclose(low.flow(AT), (-1e-11 * 0.75e6, 0.0), rtol=1e-12)
 
 
 def test_supply_line_drop_is_the_root_of_its_equation():
@@ -659,6 +674,7 @@ def full(rig):
     new["counterbalance.P_set"] = 1.9e7
     new["counterbalance.V_line"] = 2e-5
     new["counterbalance.check_loss"] = 0.2
+    new |= REACHED
     # Slower than the spool that it limits would move at times.
     new["valve_rate_limit.slew"] = 0.011
     return put(rig, list(new), list(new.values()))
