@@ -23,6 +23,7 @@ from hydrojax.identify.checking.balances import (
     Shape,
 )
 from hydrojax.identify.checking.inputs import Inputs
+from hydrojax.identify.checking.path import DEAD, along_path, shifts
 from hydrojax.identify.checking.regression import Fitted, Table, solved
 
 NEARLY = 0.4
@@ -47,16 +48,12 @@ HELD = 1.25
 """Ratio of errors from which a constant that is left out is called."""
 LATEST = 0.05
 """Seconds that a position is looked for to be late, at most."""
-DEAD = 0.25
-"""Seconds of dead time that a valve may have beside it, its lag in them."""
 LATE = 0.8
 """Share of the error beside all effects that bringing the position forward may leave;
 twice as far it leaves more than that."""
 EARLY = 1.1
 """Error with the position brought back over that with it brought forward, up to which a
 late position is not told from late pressures (`benchmarks.machines`, seed 42)."""
-TICKS = np.array([0.5, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 130, 180, 250])
-"""Steps in which shifts are tried."""
 OFF = 0.01
 """Relative difference from the default from which it is named."""
 
@@ -115,7 +112,7 @@ def _position_delay(of: Inputs, within: float) -> Delay | None:
     def late(seconds: float) -> float:
         return _error(of.brought_forward("x", seconds))
 
-    steps = _steps(of, LATEST)
+    steps = shifts(of.h, LATEST)
     if not _first_dip(late, steps[:2])[0]:
         return None
     given = _error(_with_dead_time(of, 0.0, within))
@@ -135,18 +132,13 @@ def _position_delay(of: Inputs, within: float) -> Delay | None:
     return Delay(seconds, given, mended)
 
 
-def _steps(of: Inputs, most: float) -> list[float]:
-    """The shifts (s) that are tried, up to some."""
-    return [0.0, *(t for t in of.h * TICKS if t <= most)]
-
-
 def _brought_forward(of: Inputs, within: float) -> tuple[float, float, Inputs]:
     """By how much (s) the position is best brought forward, the error then, and the
     inputs with the dead time that goes with it.
 
     Of a late position a dead time takes a part, and the other way round: by turns.
     """
-    steps, beside = _steps(of, LATEST), of
+    steps, beside = shifts(of.h, LATEST), of
 
     def error(seconds: float) -> float:
         return _error(beside.brought_forward("x", seconds))
@@ -166,7 +158,7 @@ def _with_dead_time(of: Inputs, seconds: float, within: float) -> Inputs:
     def behind(seconds: float) -> float:
         return _error(near.brought_forward("u", -seconds))
 
-    dead, around = _first_dip(behind, _steps(of, DEAD))
+    dead, around = _first_dip(behind, shifts(of.h, DEAD))
     if dead and np.isfinite(within):
         dead, _ = _least(behind, around, within)
     return of.brought_forward("u", -dead)
@@ -207,10 +199,15 @@ def supply_factor(of: Inputs) -> Factor | None:
 
     It is tried beside all that effects do to the flow at once, as they may be there
     too: of logs with a right supply, whatever they lack, it then takes next to nothing.
+    What a slow valve leaves wants another supply at times, so a call is tried again
+    with the command behind the valve's dead time and dead band.
     """
+    return _supply_factor(of) and _supply_factor(along_path(of, _error))
 
+
+def _supply_factor(of: Inputs) -> Factor | None:
     def error(factor: float) -> float:
-        return of.scaled("P_s", factor).flow_error_beside_effects
+        return _error(of.scaled("P_s", factor))
 
     given = error(1.0)
     near = min(0.8, 0.9, 0.95, 1.05, 1.1, 1.2, key=error)

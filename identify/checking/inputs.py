@@ -163,6 +163,19 @@ class Inputs:
 
         return replace(self, stretches=tuple(map(moved, self.stretches)))
 
+    def behind(self, dead: float, band: float) -> Inputs:
+        """With a command that acts `dead` seconds later, beyond a dead band of so much
+        of its largest value.
+        """
+        most = max(float(np.quantile(np.abs(s.u), 0.99)) for s in self.stretches)
+
+        def acts(s: EvenTicks) -> EvenTicks:
+            beyond = np.maximum(np.abs(s.u) - band * most, 0.0)
+            return replace(s, u=np.copysign(beyond, s.u))
+
+        late = self.brought_forward("u", -dead) if dead else self
+        return replace(late, stretches=tuple(map(acts, late.stretches)))
+
     def exchanged(self) -> Inputs:
         """With the two chamber pressures in each other's place."""
         new = tuple(replace(s, P=s.P[:, ::-1]) for s in self.stretches)

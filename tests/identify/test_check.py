@@ -101,6 +101,21 @@ def test_a_long_dead_time_is_not_a_late_position(seed, tmp_path):
     assert len(logs) == 3 and not any(f.finding == "delay" for f in found)
 
 
+def test_a_slow_valve_does_not_hide_exchanged_pressures(tmp_path):
+    """At 100 Hz, with dead time, lag and dead band between command and flow."""
+    files.write(record.record([21])[0], tmp_path)
+    rig = hj.RigFile.load(tmp_path / "rig.toml")
+    logs = [hj.Log.load(p, rig.channels) for p in sorted(tmp_path.glob("fit*.csv"))]
+    assert hj.check(rig, logs).found == ()
+
+    def exchanged(log):
+        P_1, P_2 = log.signals["P_a1"], log.signals["P_a2"]
+        return replace(log, signals=log.signals | {"P_a1": P_2, "P_a2": P_1})
+
+    (found,) = hj.check(rig, [exchanged(log) for log in logs]).found
+    assert (found.input, found.finding) == ("P_a1, P_a2", "exchanged")
+
+
 def test_a_late_command_is_not_a_late_position(honest):
     """A dead time of the valve is an effect of the rig."""
     rig, logs = honest
