@@ -136,7 +136,7 @@ def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]
 
 def _at_end(name: str, end: str, own: Free, spec: Spec) -> str:
     if end == "lower" and own.lower == 0.0:
-        return f"{name} ended at 0: these logs show none of it"
+        return f"{name} ended at 0: the fit finds none of it in these logs"
     if end == "upper" and is_whole(own, spec):
         return f"{name} ended at 1: these logs show all of it"
     widest = own.upper >= spec.upper if end == "upper" else own.lower <= spec.lower

@@ -37,12 +37,8 @@ def with_ends(said: str, ends: tuple[str, ...]) -> str:
     """The sentence, and in it what cannot be taken for an estimate."""
     if not ends:
         return said
-    stand = (
-        "stands at an end of its range"
-        if len(ends) == 1
-        else ("stand at an end of their ranges")
-    )
-    return f"{said.removesuffix('.')}, but {' and '.join(ends)} {stand}."
+    where = "an end of its range" if len(ends) == 1 else "an end of their ranges"
+    return f"{said} At {where}: {', '.join(ends)}."
 
 
 def verdict_sentence(
@@ -92,8 +88,8 @@ def verdict_sentence(
         )
     if command == "identify":
         return f"The declared model does not explain {channels}: {rest}. Try trace."
-    unknown = f"{start}no known effect explains the residual of {channels}: {rest}."
-    return unknown[0].upper() + unknown[1:]
+    none = f"{'no' if start else 'No'} known effect explains the residual of"
+    return f"{start}{none} {channels}: {rest}."
 
 
 def motion_sentence(motion: PredictedMotion) -> str:

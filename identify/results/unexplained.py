@@ -66,11 +66,13 @@ def unexplained(
     else:
         follows, where = _swells(residual, noise, signals, criteria)
         description = (
-            f"{size}; its sign correlates with none of the log's signals, but it is "
-            f"larger where {follows} is {where}"
+            f"{size}; no signal of the log goes with {100 * criteria.correlates:.0f} % "
+            "of its variance, "
+        )
+        description += (
+            f"but it is larger where {follows} is {where}"
             if where
-            else f"{size}; it correlates with none of the log's signals and has no "
-            "spectral line"
+            else "and it has no spectral line"
         )
     where = _in_few(residual, noise, places, criteria)
     return Unexplained(
@@ -99,14 +101,15 @@ def _in_few(
 def _said_of(where: Sequence[Stretch], windows: int) -> str:
     if not where:
         return ""
-    share = 100 * sum(w.share for w in where)
+    share = 100 * sum(w.share for w in where)  # of an excess that others lie below
+    part = f"{share:.0f} %" if share < 99.5 else "all"
     times: dict[str, list[str]] = {}
     for w in where[:3]:
         times.setdefault(w.log, []).append(f"{w.start:.2f}")
     first = ", ".join(f"{log} from {', '.join(t)} s" for log, t in times.items())
     count = "one" if len(where) == 1 else str(len(where))
     more = " and others" if len(where) > 3 else ""
-    return f"; {share:.0f} % of it lies in {count} of {windows} windows ({first}{more})"
+    return f"; {part} of it lies in {count} of {windows} windows ({first}{more})"
 
 
 def _share(d: Dependence) -> float:

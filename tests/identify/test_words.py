@@ -26,7 +26,12 @@ EXPONENT = Spec("1", 1.2, 1.0, 1.4, "an exponent")
 @pytest.mark.parametrize(
     ("end", "own", "spec", "says"),
     [
-        ("lower", Free(0.5, 0.0, 2.0), EXPONENT, "these logs show none of it"),
+        (
+            "lower",
+            Free(0.5, 0.0, 2.0),
+            EXPONENT,
+            "the fit finds none of it in these logs",
+        ),
         (
             "upper",
             Free(1.2, 1.0, 1.4),
