@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -189,6 +189,11 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
     )  # fmt: skip
 
 
+DEGREE = 7
+"""Of the spline between a late signal's rows: half-way, white noise keeps 0.9 of its
+power up to 0.8 of the band, of a cubic 0.6."""
+
+
 def brought_forward(
     time: Float[np.ndarray, "rows"],
     signals: Mapping[str, Float[np.ndarray, "rows"]],
@@ -214,11 +219,24 @@ def brought_forward(
     for start, stop in segments:
         own = time[start:stop]
         for name, lag in late.items():
-            y = signals[name][start:stop]
-            out[name][start:stop] = np.interp(own + lag, own, y)
+            at = np.minimum(own + lag, own[-1])
+            out[name][start:stop] = _between(own, signals[name][start:stop], name)(at)
         last = own[-1] - max(late.values())
         cut.append((start, start + int(np.searchsorted(own, last, side="right"))))
     return out, tuple(cut)
+
+
+def _between(
+    time: np.ndarray, y: np.ndarray, name: str
+) -> Callable[[np.ndarray], np.ndarray]:
+    """A signal between its rows. Straight lines, and splines of a lower degree, would
+    smooth the noise of a sensor, by which it is known; a command steps.
+    """
+    if name == "u" or len(y) <= DEGREE:
+        return lambda t: np.interp(t, time, y)
+    from scipy import interpolate
+
+    return interpolate.make_interp_spline(time, y, k=DEGREE)
 
 
 def _check_rows(

@@ -153,14 +153,8 @@ def _sensor_noise(
     size = min(2048, max(y.size // 4, 16))
     f, power = signal.welch(even, 1 / h, nperseg=size, detrend="linear")
     end = f[-1]
-    last = np.median(power[f > 0.8 * end])
-    middle, below = (
-        np.median(power[(f > low * end) & (f <= low * end + 0.2 * end)])
-        for low in (0.4, 0.6)
-    )
-    # At 100 Hz a hard stop moves an encoder up to half of the band, and not its end.
-    flat = middle <= criteria.flat_floor * last or below <= criteria.flat_end * last
-    if last <= 0 or not flat:
+    last = _floor(f / end, power, criteria)
+    if not last:
         return None
     floor = float(last) / _median_of_mean(y.size, size)
     sigma = np.sqrt(floor * end)
@@ -176,6 +170,32 @@ def _sensor_noise(
     return SensorNoise(
         float(sigma), step if step / np.sqrt(12) > 0.5 * sigma else 0.0, cut
     )
+
+
+def _floor(share: np.ndarray, power: np.ndarray, criteria: Criteria) -> float:
+    """Median power of a spectrum's floor, over the share of its band; 0 without one."""
+
+    def between(low: float, high: float) -> float:
+        return float(np.median(power[(share > low) & (share <= high)]))
+
+    last = between(0.8, 1.0)
+    # At 100 Hz a hard stop moves an encoder up to half of the band, and not its end.
+    if (
+        between(0.4, 0.6) <= criteria.flat_floor * last
+        or between(0.6, 0.8) <= criteria.flat_end * last
+    ):
+        return last
+    # A slow log shows its floor at the very end, and one that was brought forward
+    # ahead of it: between rows, a signal is interpolated. Only motion falls so steeply.
+    early = between(0.25, 0.35)
+    for low, middle, high, flat in (
+        (0.75, 0.875, 1.0, criteria.flat_end),
+        (0.6, 0.7, 0.8, criteria.flat_part),
+    ):
+        first, second = between(low, middle), between(middle, high)
+        if first <= flat * second and early > criteria.steep_fall * first:
+            return second
+    return 0.0
 
 
 def _median_of_mean(rows: int, size: int) -> float:

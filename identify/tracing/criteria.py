@@ -238,6 +238,12 @@ class Criteria:
     flat_end: float = 1.15
     """Ratio of a spectrum's last fifth but one to its last up to which its end is, 1: a
     random walk makes 1.23, white noise 1."""
+    flat_part: float = 1.35
+    """The same of two tenths of the band from 0.6 on, 1: what falls with the third
+    power of frequency or faster makes 1.4 or more."""
+    steep_fall: float = 10.0
+    """Ratio of a spectrum at 0.3 of its band to that at 0.8 from which a flat end is a
+    floor that motion meets, 1: a random walk makes 4, the motion of a mass 50."""
     sensor_counts: float = 0.3
     """Share of a channel's noise that the noise of what drives must bring to be
     smoothed, 1: it adds 4 % to that noise. `benchmarks.trace`."""

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import signal
 
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
@@ -21,7 +22,7 @@ from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.preparation.noise import SensorNoise, sensor_noise_of
 from hydrojax.identify.preparation.resolution import _largest
 from hydrojax.identify.tracing.state import Tracing
-from hydrojax.logs.log import Log
+from hydrojax.logs.log import Log, brought_forward
 from tests import generator
 
 TIME = np.arange(12_000) * 1e-3
@@ -76,6 +77,42 @@ def test_noise_is_measured_at_any_rate(rate, jitter):
 
 def test_a_still_piece_says_nothing():
     assert sensor_noise_of([(TIME[:1000] + 17.3, np.full(1000, 0.1))]) is None
+
+
+def moved_by_a_mass(rows: int, step: float, seed: int) -> np.ndarray:
+    """A mass on a soft valve, both of 2 Hz and damped, under random pushes."""
+    w, fine = 2 * np.pi * 2.0, 8
+    pushes = np.random.default_rng(seed).normal(size=rows * fine)
+    one = signal.lti([w**2], [1, 1.2 * w, w**2])
+    t = np.arange(pushes.size) * step / fine
+    x = signal.lsim(one, signal.lsim(one, pushes, t)[1], t)[1]
+    return 0.05 * (x / x.std())[::fine]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slow_log_shows_its_floor_at_the_end(seed):
+    """29 um on the motion of a mass at 50 Hz: a floor in an eighth of the band."""
+    t, draw = 0.02 * np.arange(3000), np.random.default_rng(100 + seed)
+    x = moved_by_a_mass(t.size, 0.02, seed)
+    found = sensor_noise_of([(t, x + 2.9e-5 * draw.normal(size=t.size))])
+    assert found is not None and found.sigma == pytest.approx(2.9e-5, rel=0.2)
+    assert sensor_noise_of([(t, x)]) is None
+
+
+@pytest.mark.parametrize("ticks", [0.1, 0.2, 0.5])
+def test_a_position_brought_forward_keeps_its_noise(ticks):
+    """Between rows it is interpolated, which takes noise off at the band's end."""
+    t, draw = 0.01 * np.arange(6000), np.random.default_rng(3)
+    x = moved_by_a_mass(t.size, 0.01, 5) + 1.2e-5 * draw.normal(size=t.size)
+    late = {"x": ticks * 0.01}
+    moved, ((_, stop),) = brought_forward(t, {"x": x}, [(0, t.size)], late)
+    found = sensor_noise_of([(t[:stop], moved["x"][:stop])])
+    assert found is not None and found.sigma == pytest.approx(1.2e-5, rel=0.15)
+
+
+def test_a_random_walk_has_no_floor():
+    walk = 1e-5 * np.cumsum(np.random.default_rng(9).normal(size=6000))
+    assert sensor_noise_of([(0.01 * np.arange(6000), walk)]) is None
 
 
 def test_steps_of_a_position_are_seen():
