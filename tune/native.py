@@ -28,7 +28,7 @@ from hydrojax.programs.compiled import program
 from hydrojax.tune import measure, operating_point
 from hydrojax.tune.plan import Plan
 
-WORTH = 4e8
+WORTH = 6e7
 """Control periods, of all cells together, from which C pays: XLA takes longer by what
 it takes to write, compile and check it (`python -m benchmarks.speed --only sweep`)."""
 
