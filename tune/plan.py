@@ -139,7 +139,7 @@ def with_excitations(plan: Plan) -> Plan:
 
 
 def chunk_size(plan: Plan, method: str) -> int:
-    """Cells in a chunk, as many on every device; whole groups of C's where it may."""
+    """Cells in a chunk: as many on every device, and in groups of `LANES` if more."""
     if method == "linear":
         each, most = metrics.LINES * 10 * 16 * 4.0, 256
     else:

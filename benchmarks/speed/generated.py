@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import ctypes
-import hashlib
-import os
 from collections.abc import Callable
-from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hydrojax.control.loop import Loop, Scenario, start_loop, step_loop
-from hydrojax.export.codegen.compiler import shared_library
-from hydrojax.export.codegen.lanes import FLAGS, laned
-from hydrojax.jax_setup import user_cache
+from hydrojax.export.codegen.lanes import laned
+from hydrojax.export.codegen.running import runner
 
 from .numbers import KEEP
 
@@ -60,37 +55,11 @@ def prepare(
         [np.asarray(a).reshape(len(scenario.t), -1) for a in jax.tree.leaves(scenario)],
         axis=1,
     )
-    return _runner(_library(made.source), rows, begin, course, made.kept, threads)
-
-
-@cache
-def _library(source: str) -> ctypes.CDLL:
-    key = hashlib.sha256("\n".join([*FLAGS, source]).encode()).hexdigest()[:20]
-    path = user_cache() / "speed" / f"generated-{key}.so"
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        half = path.with_suffix(f".{os.getpid()}")
-        half.write_bytes(shared_library({"loop.c": source}, FLAGS, "generated loop"))
-        os.replace(half, path)
-    return ctypes.CDLL(str(path))
-
-
-def _runner(
-    library: ctypes.CDLL, rows: np.ndarray, begin: np.ndarray, course: np.ndarray,
-    kept: int, threads: int,
-) -> Callable[[], tuple[np.ndarray, np.ndarray | None]]:  # fmt: skip
-    given = [np.ascontiguousarray(a) for a in (rows, begin, course)]
-    b, n = rows.shape[1], len(course)
-    last = np.zeros_like(begin)
-    out = np.empty((n, kept, b)) if kept else None
-    pointers = [a.ctypes.data for a in given] + [out.ctypes.data if kept else None]  # pyright: ignore[reportOptionalMemberAccess]
-    library.run.argtypes = [ctypes.c_long] * 2 + [ctypes.c_void_p] * 5 + [ctypes.c_int]
+    run = runner(made, "generated loop")
+    n = len(course)
 
     def call() -> tuple[np.ndarray, np.ndarray | None]:
-        _ = given  # kept alive: C holds bare addresses
-        if library.run(b, n, *pointers, last.ctypes.data, threads):
-            raise MemoryError("no memory for the course of the loop")
-        table = None if out is None else np.moveaxis(out, -1, 0)
-        return np.sqrt(last[-1] / n), table
+        table, last = run(rows, begin, course, threads)
+        return np.sqrt(last[-1] / n), np.moveaxis(table, -1, 0) if signals else None
 
     return call

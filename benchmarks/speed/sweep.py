@@ -16,7 +16,7 @@ SIDES = (64, 128, 256, 384)
 
 
 def whole(side: int, worth: float) -> dict[str, Any]:
-    """Sweep k_p and k_f of the reference rig; its seconds, and those of a second go."""
+    """Seconds of a sweep over k_p and k_f of the reference rig, and what ran it."""
     import numpy as np
 
     from hydrojax.paper.records import reference

@@ -131,9 +131,7 @@ class Plant:
             q = q + np.array([-cross, cross])
         if e.has("port_relief"):
             g, setting = (
-                np.array([e("port_relief", name + port) for port in "12"]).reshape(
-                    2, -1
-                )
+                np.array([e("port_relief", f"{name}{port}") for port in (1, 2)])
                 for name in ("g_", "P_set")
             )
             q = q - g * np.maximum(P - P_r - setting, 0)

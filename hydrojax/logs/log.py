@@ -190,8 +190,10 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
 
 
 DEGREE = 7
-"""Of the spline between a late signal's rows: half-way, white noise keeps 0.9 of its
-power up to 0.8 of the band, of a cubic 0.6."""
+"""Of the spline between a late signal's rows: white noise stays nearly white."""
+
+EVEN = 0.2
+"""Part of a tick by which rows may be uneven for such a spline: else it would swing."""
 
 
 def brought_forward(
@@ -232,7 +234,9 @@ def _between(
     """A signal between its rows. Straight lines, and splines of a lower degree, would
     smooth the noise of a sensor, by which it is known; a command steps.
     """
-    if name == "u" or len(y) <= DEGREE:
+    ticks = np.diff(time)
+    uneven = np.ptp(ticks) > EVEN * np.median(ticks) if len(ticks) else True
+    if name == "u" or uneven or len(y) <= DEGREE:
         return lambda t: np.interp(t, time, y)
     from scipy import interpolate
 

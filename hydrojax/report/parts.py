@@ -287,6 +287,7 @@ class InputRecord(Part):
     mended: bool = Field(
         False, description="whether all else in the report is of the mended input"
     )
+    effects: list[str] = Field([], description="effects that do the same to the logs")
 
 
 class FileRecord(Part):

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from hydrojax.identify.checking.balances import (
     EDGES,
@@ -23,7 +21,7 @@ from hydrojax.identify.checking.balances import (
     Shape,
 )
 from hydrojax.identify.checking.inputs import Inputs
-from hydrojax.identify.checking.path import DEAD, along_path, shifts
+from hydrojax.identify.checking.path import DEAD, along_path, least, shifts
 from hydrojax.identify.checking.regression import Fitted, Table, solved
 
 NEARLY = 0.4
@@ -148,7 +146,7 @@ def _brought_forward(of: Inputs, within: float) -> tuple[float, float, Inputs]:
     seconds, around = _first_dip(error, steps)
     if not seconds:
         return 0.0, error(0.0), beside
-    return (*_least(error, around, 0.02 * of.h), beside)
+    return (*least(error, around, 0.02 * of.h), beside)
 
 
 def _with_dead_time(of: Inputs, seconds: float, within: float) -> Inputs:
@@ -160,7 +158,7 @@ def _with_dead_time(of: Inputs, seconds: float, within: float) -> Inputs:
 
     dead, around = _first_dip(behind, shifts(of.h, DEAD))
     if dead and np.isfinite(within):
-        dead, _ = _least(behind, around, within)
+        dead, _ = least(behind, around, within)
     return of.brought_forward("u", -dead)
 
 
@@ -183,17 +181,6 @@ def _error(of: Inputs) -> float:
     return of.flow_error_beside_effects
 
 
-def _least(
-    error: Callable[[float], float], ends: tuple[float, float], within: float
-) -> tuple[float, float]:
-    """Where an error is least between two ends, found to `within`, and that error."""
-    options = {"xatol": within}
-    best: dict[str, float] = cast(
-        Any, minimize_scalar(error, bounds=ends, method="bounded", options=options)
-    )
-    return float(best["x"]), float(best["fun"])
-
-
 def supply_factor(of: Inputs) -> Factor | None:
     """A supply pressure that is off by a factor; None where none is called.
 
@@ -213,7 +200,7 @@ def _supply_factor(of: Inputs) -> Factor | None:
     near = min(0.8, 0.9, 0.95, 1.05, 1.1, 1.2, key=error)
     if error(near) > SHOWS**0.5 * given:
         return None
-    factor, mended = _least(error, SUPPLIES, 2e-3)
+    factor, mended = least(error, SUPPLIES, 2e-3)
     if abs(factor - 1) < SUPPLY or mended > SHOWS * given:
         return None
     return Factor("P_s", factor, given, mended)

@@ -25,6 +25,15 @@ def shifts(h: float, most: float) -> list[float]:
     return [0.0, *(t for t in h * TICKS if t <= most)]
 
 
+def least(
+    error: Callable[[float], float], ends: tuple[float, float], within: float
+) -> tuple[float, float]:
+    """Where an error is least between two ends, found to `within`, and that error."""
+    options = {"xatol": within}
+    best: Any = minimize_scalar(error, bounds=ends, method="bounded", options=options)
+    return float(best.x), float(best.fun)
+
+
 def along_path(of: Inputs, error: Callable[[Inputs], float]) -> Inputs:
     """The inputs with the command behind the dead time and dead band of least error.
 
@@ -32,22 +41,21 @@ def along_path(of: Inputs, error: Callable[[Inputs], float]) -> Inputs:
         of: the inputs.
         error: of a balance.
     """
-    ends = shifts(of.h, DEAD)
     dead, band = 0.0, BANDS[2]
     for _ in range(TURNS):
-        dead = _least(lambda t, b=band: error(of.behind(t, b)), ends, of.h / 4)
-        band = _least(lambda b, t=dead: error(of.behind(t, b)), BANDS, 5e-3)
+        dead = _refined(
+            lambda t, b=band: error(of.behind(t, b)), shifts(of.h, DEAD), of.h / 4
+        )
+        band = _refined(lambda b, t=dead: error(of.behind(t, b)), BANDS, 5e-3)
     return min(of.behind(dead, band), of, key=error)
 
 
-def _least(
-    error: Callable[[float], float], ends: Sequence[float], within: float
+def _refined(
+    error: Callable[[float], float], points: Sequence[float], within: float
 ) -> float:
     """Where an error is least, found to `within` beside the best of some points."""
-    i = int(np.argmin([error(x) for x in ends]))
-    around = ends[max(i - 1, 0)], ends[min(i + 1, len(ends) - 1)]
-    options = {"xatol": within}
-    found: Any = minimize_scalar(
-        error, bounds=around, method="bounded", options=options
-    )
-    return float(found.x) if found.fun < error(ends[i]) else ends[i]
+    each = [error(x) for x in points]
+    i = int(np.argmin(each))
+    around = points[max(i - 1, 0)], points[min(i + 1, len(points) - 1)]
+    at, lowest = least(error, around, within)
+    return at if lowest < each[i] else points[i]

@@ -23,9 +23,8 @@ from hydrojax.identify.checking.path import along_path
 from hydrojax.identify.checking.regression import Fitted, Table, solved
 
 CLEAR = 0.3
-"""Decades by which a mend must lower the implausibility; a fault costs one or more, on
-machines with slow valves 0.3 or more; what is right at most 0.01 (26 machines of two
-plants)."""
+"""Decades by which a mend must lower the implausibility: half of it. A fault costs one
+or more, and less behind a slow valve."""
 OPEN = 0.03
 """Share of the flow that is left from which the valve's path is looked for."""
 EQUAL = 0.08
@@ -232,15 +231,17 @@ def _odd_constants(of: Inputs, fit: Fitted) -> dict[str, float]:
     return {n: v for n, v in out.items() if v > 0}
 
 
-def _flow_left(of: Inputs) -> float:
-    return solved(of.flow, FLOW, NOT_NEGATIVE).error
-
-
 def _on_path(of: Inputs) -> Inputs:
     """With the command behind the dead time and dead band that close the flow best: a
     slow valve hides all else that is wrong.
     """
-    return along_path(of, _flow_left) if of.has_flow else of
+    return along_path(of, lambda own: solved(own.flow, FLOW, NOT_NEGATIVE).error)
+
+
+def _likeliest(trials: list[tuple[Mend, Trial]]) -> tuple[Mend, Trial]:
+    """The first that does as well as the best."""
+    lowest = min(t.cost for _, t in trials)
+    return next((m, t) for m, t in trials if t.cost <= lowest + EQUAL)
 
 
 def mends_wanted(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
@@ -248,14 +249,20 @@ def mends_wanted(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
     now = of.shortened(TRIAL_TICKS)
     before, found = tried(now), []
     slow = now.has_flow and before.flow > np.log10(OPEN)
-    acting = _on_path if slow else lambda given: given
-    before = tried(acting(now))
+
+    def judged(given: Inputs) -> Trial:
+        return tried(_on_path(given) if slow else given)
+
+    if slow:
+        before = judged(now)
     for _ in range(2):
-        trials = [(m, tried(acting(m.applied(now)))) for m in mends(now)]
+        trials = [(m, judged(m.applied(now))) for m in mends(now)]
         if before.suspicious:
-            trials += [(m, tried(m.applied(now))) for m in unit_mends(now)]
-        least = min(t.cost for _, t in trials)
-        mend, after = next((m, t) for m, t in trials if t.cost <= least + EQUAL)
+            # They are many: the valve's path is looked for behind the best.
+            units = [(m, tried(m.applied(now))) for m in unit_mends(now)]
+            unit = _likeliest(units)[0]
+            trials.append((unit, judged(unit.applied(now))))
+        mend, after = _likeliest(trials)
         if before.cost - after.cost < CLEAR:
             break
         found.append((mend, before, after))

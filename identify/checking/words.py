@@ -68,6 +68,7 @@ class Finding:
         says: what looks wrong, and the line to write.
         lines: that line, by section and key of the rig file; empty where none mends it.
         mended: whether what the report says is of the mended input.
+        effects: that do the same to the logs, by name.
     """
 
     input: str
@@ -79,6 +80,7 @@ class Finding:
     says: str
     lines: Lines = field(default_factory=dict)
     mended: bool = False
+    effects: tuple[str, ...] = ()
 
 
 def stiffness(of: Inputs) -> float:
@@ -204,7 +206,9 @@ def of_force(found: Factor, of: Inputs) -> Finding:
     """An area, a gauge or the load cell off by a factor."""
     name, f = found.input, found.factor
     geometry = of.spec.geometry
+    same: tuple[str, ...] = ("pressure_sensor_gain",)
     if name in geometry:
+        same = ("loadcell_gain", *same)
         lines = resized(of.spec, [name], f)
         gauge = {"area": "both pressures", "area_1": "P_a1", "area_2": "P_a2"}[name]
         says = (
@@ -215,6 +219,7 @@ def of_force(found: Factor, of: Inputs) -> Finding:
             "(effect pressure_sensor_gain)"
         )
     elif name == "F":
+        same = ("loadcell_gain",)
         lines = scaled(of.spec, [name], float(f"{1 / f:.4g}"))
         says = (
             f"F is {_percent(1 / f, 'too large', 'too small')} (effect loadcell_gain): "
@@ -228,7 +233,8 @@ def of_force(found: Factor, of: Inputs) -> Finding:
             f"{name} is {_percent(f, 'too high', 'too low')}: write "
             f"{written(lines)} (the gauge's span; effect pressure_sensor_gain)"
         )
-    return Finding(name, "factor", f, found.given, found.mended, "N", says, lines)
+    errors = (found.given, found.mended)
+    return Finding(name, "factor", f, *errors, "N", says, lines, effects=same)
 
 
 def of_left_out(

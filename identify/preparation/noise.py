@@ -153,10 +153,10 @@ def _sensor_noise(
     size = min(2048, max(y.size // 4, 16))
     f, power = signal.welch(even, 1 / h, nperseg=size, detrend="linear")
     end = f[-1]
-    last = _floor(f / end, power, criteria)
-    if not last:
+    median = _floor(f / end, power, criteria)
+    if not median:
         return None
-    floor = float(last) / _median_of_mean(y.size, size)
+    floor = median / _median_of_mean(y.size, size)
     sigma = np.sqrt(floor * end)
     # Least squares: what smoothing takes off the signal, and leaves of the noise.
     cuts = f[2 : int(0.8 * f.size)]
@@ -185,6 +185,8 @@ def _floor(share: np.ndarray, power: np.ndarray, criteria: Criteria) -> float:
         or between(0.6, 0.8) <= criteria.flat_end * last
     ):
         return last
+    if share.size < criteria.fewest_bins:
+        return 0.0
     # A slow log shows its floor at the very end, and one that was brought forward
     # ahead of it: between rows, a signal is interpolated. Only motion falls so steeply.
     early = between(0.25, 0.35)

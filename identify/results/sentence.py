@@ -34,7 +34,7 @@ def without_skill(channels: Mapping[str, ChannelErrors], at_noise: float) -> str
 
 
 def with_ends(said: str, ends: tuple[str, ...]) -> str:
-    """The sentence, and in it what cannot be taken for an estimate."""
+    """The sentence, and after it what cannot be taken for an estimate."""
     if not ends:
         return said
     where = "an end of its range" if len(ends) == 1 else "an end of their ranges"

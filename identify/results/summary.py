@@ -263,7 +263,7 @@ def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
         beyond = ", and explains at least as much as any effect"
         lead = f"An input looks wrong{beyond if outcome.effects else ''}: "
         lead += f"{found[0].says}."
-        same = [e.name for e in outcome.effects if f"effect {e.name})" in lead]
+        same = [e.name for e in outcome.effects if e.name in found[0].effects]
         if same:
             lead += (
                 f" {same[0]} is the same error under another name, not a second one."

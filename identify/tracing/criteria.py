@@ -238,6 +238,9 @@ class Criteria:
     flat_end: float = 1.15
     """Ratio of a spectrum's last fifth but one to its last up to which its end is, 1: a
     random walk makes 1.23, white noise 1."""
+    fewest_bins: int = 64
+    """Frequencies of a spectrum from which a floor is looked for in tenths of its band,
+    1: six in each."""
     flat_part: float = 1.35
     """The same of two tenths of the band from 0.6 on, 1: what falls with the third
     power of frequency or faster makes 1.4 or more."""

@@ -598,7 +598,7 @@ def test_an_input_that_looks_wrong_is_said_first(tmp_path):
         {
             "input": "area", "finding": "factor", "factor": 0.98, "error": 6.9,
             "error_if_mended": 4.1, "unit": "N", "says": "area is 2 % too large",
-            "lines": {}, "mended": False,
+            "lines": {}, "mended": False, "effects": [],
         }
     ]  # fmt: skip
     assert report["sentence"].startswith("An input looks wrong")

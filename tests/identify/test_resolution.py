@@ -110,6 +110,23 @@ def test_a_position_brought_forward_keeps_its_noise(ticks):
     assert found is not None and found.sigma == pytest.approx(1.2e-5, rel=0.15)
 
 
+def test_uneven_rows_are_joined_by_straight_lines():
+    """A spline of seventh degree swings by far more than the motion between them."""
+    t = np.cumsum(np.random.default_rng(4).uniform(1e-4, 0.02, 400))
+    x = 0.05 * np.abs(np.sin(2 * t))
+    moved, ((_, stop),) = brought_forward(t, {"x": x}, [(0, t.size)], {"x": 5e-3})
+    true = 0.05 * np.abs(np.sin(2 * (t + 5e-3)))
+    assert np.max(np.abs(moved["x"] - true)[:stop]) < 1e-3
+
+
+@pytest.mark.parametrize("rows", [21, 40, 200])
+def test_a_short_piece_has_too_few_frequencies(rows):
+    """No floor is read off a bin or two, and none is missed with a warning."""
+    x = moved_by_a_mass(rows, 0.02, 6) + 2e-5 * np.sin(np.arange(rows))
+    found = sensor_noise_of([(0.02 * np.arange(rows), x)])
+    assert found is None or found.sigma < 1e-4
+
+
 def test_a_random_walk_has_no_floor():
     walk = 1e-5 * np.cumsum(np.random.default_rng(9).normal(size=6000))
     assert sensor_noise_of([(0.01 * np.arange(6000), walk)]) is None

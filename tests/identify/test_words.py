@@ -57,8 +57,8 @@ def test_only_a_range_narrower_than_the_model_s_is_to_be_widened(end, own, spec,
 def test_a_factor_and_the_effect_that_does_the_same_are_one_error():
     found = explained()
     gain = FoundEffect("loadcell_gain", {}, 0.0, {}, {}, (), "F")
-    says = "area is 2 % too large; or F is 2 % too small (effect loadcell_gain)"
-    area = Finding("area", "factor", 0.98, 6.9, 4.1, "N", says)
+    says, same = "area is 2 % too large", ("loadcell_gain",)
+    area = Finding("area", "factor", 0.98, 6.9, 4.1, "N", says, effects=same)
     supply = Finding("P_s", "factor", 0.9, 9e3, 4e3, "Pa", "P_s is 10 % too high")
     alone = with_inputs(found, (area,)).sentence
     found = replace(found, effects=(*found.effects, gain))
