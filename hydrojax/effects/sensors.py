@@ -17,6 +17,9 @@ class _Lag(SensorChannel):
         """The time constant, s."""
         raise NotImplementedError
 
+    def forgets(self):
+        return self.lag() <= 0
+
     def init(self, y, slope):
         out = y - self.lag() * slope
         return (y, out), out, slope
@@ -62,6 +65,9 @@ class _Gain(SensorChannel):
 
     eps: Float[Array, ""]
 
+    def forgets(self):
+        return True
+
     def init(self, y, slope):
         return (), (1 + self.eps) * y, (1 + self.eps) * slope
 
@@ -85,6 +91,9 @@ class _Offset(SensorChannel):
     """A reading that is off by a constant."""
 
     b: Float[Array, ""]
+
+    def forgets(self):
+        return True
 
     def init(self, y, slope):
         return (), y + self.b, slope
@@ -159,6 +168,9 @@ class SignalFilter(SensorChannel):
     zeta: Float[Array, ""] = param(
         "1", 0.7, 0.3, 0.99, "filter's damping ratio", prior=0.2
     )
+
+    def forgets(self):
+        return self.tau <= 0
 
     def init(self, y, slope):
         late = y - 2 * self.zeta * self.tau * slope

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding
@@ -395,6 +395,12 @@ class SensorChannel(Effect):
         """One tick of length `h` at whose end the signal is `y`: memory, reading."""
         raise NotImplementedError
 
+    def forgets(self) -> bool | Bool[Array, ""]:
+        """Whether a reading depends on no more of the past than the signal one tick
+        before, as where a lag is absent: all ticks are then run side by side.
+        """
+        return False
+
     def run(
         self,
         y: Float[Array, "windows n"],
@@ -412,7 +418,18 @@ class SensorChannel(Effect):
         memory, first, slope = (
             self.init(*begin) if read is None else self.resume(*begin, read)
         )
-        _, rest = jax.lax.scan(
-            lambda m, tick: self.step(m, *tick), memory, (y[:, 1:].T, h.T)
-        )
-        return jnp.concatenate([first[:, None], rest.T], axis=1), slope
+        now, before, still = y[:, 1:], y[:, :-1], jnp.zeros_like(y[:, 1:])
+
+        def side_by_side():
+            return self.step(self.init(before, still)[0], now, h)[1]
+
+        def one_by_one():
+            ticks = (now.T, h.T)
+            return jax.lax.scan(lambda m, t: self.step(m, *t), memory, ticks)[1].T
+
+        forgets = self.forgets()
+        if isinstance(forgets, bool):
+            rest = side_by_side() if forgets else one_by_one()
+        else:
+            rest = jax.lax.cond(forgets, side_by_side, one_by_one)
+        return jnp.concatenate([first[:, None], rest], axis=1), slope

@@ -27,8 +27,9 @@ CLEAR = 0.3
 or more, and less behind a slow valve."""
 OPEN = 0.03
 """Share of the flow that is left from which the valve's path is looked for."""
-EQUAL = 0.08
-"""Decades within which two mends do equally well: the first of the list is taken."""
+EQUAL, SAME = 0.08, 0.02
+"""Decades within which two mends do equally well, and two units: the first of the list
+is taken."""
 TRIAL_TICKS = 12_000
 """Ticks on which mends are tried."""
 CLOSED = (0.005, 0.03)
@@ -41,6 +42,8 @@ SLIP = 3.0
 """Ratio of force and push from which another unit is tried; units differ by 9.8 on."""
 FARTHEST = 4.0
 """Decades beyond which it does not matter by how many a value is odd."""
+PSI, INCH, POUND = 6894.757, 25.4, 4.448222
+"""Of psi in Pa, of an inch in mm, of a pound's weight in N."""
 VACUUM = -1.5e5
 """Pa: a gauge that reads less, by more than its offset, is turned round."""
 
@@ -111,18 +114,18 @@ def mends(of: Inputs) -> Iterator[Mend]:
 
 def unit_mends(of: Inputs) -> Iterator[Mend]:
     """Other units: tried where something is odd."""
-    tens = (10.0, 1e2, 1e3, 1e5, 1e6)
+    sizes = (10.0, 1e2, 1e3, 1e5, 1e6, PSI / 1e5, PSI / 1e3, PSI / 1e6, PSI)
     both = tuple(p for p in ("P_a1", "P_a2") if p in of.logged)
     every = tuple(p for p in (*both, "P_s") if p in of.logged or p == "P_s")
     groups = [both, every, ("P_s",), *((p,) for p in both)]
     for group in dict.fromkeys(g for g in groups if g):
-        for f in tens:
+        for f in sizes:
             yield Mend(group, "unit", f)
             yield Mend(group, "unit", 1 / f)
     factors = {
-        of.motion: (180 / np.pi,) if of.motion == "psi" else (10.0, 1e2, 1e3),
+        of.motion: (180 / np.pi,) if of.motion == "psi" else (1e3, 1e2, 10.0, INCH),
         "u": (1e2, 1e3),
-        "F": (10.0, 9.80665, 1e2, 1e3, 1e6),
+        "F": (10.0, 9.80665, 1e2, 1e3, 1e6, POUND),
     }
     areas = ("area",) if "area" in of.spec.geometry else ("area_1", "area_2")
     for name, own in factors.items():
@@ -238,10 +241,12 @@ def _on_path(of: Inputs) -> Inputs:
     return along_path(of, lambda own: solved(own.flow, FLOW, NOT_NEGATIVE).error)
 
 
-def _likeliest(trials: list[tuple[Mend, Trial]]) -> tuple[Mend, Trial]:
+def _likeliest(
+    trials: list[tuple[Mend, Trial]], equal: float = EQUAL
+) -> tuple[Mend, Trial]:
     """The first that does as well as the best."""
     lowest = min(t.cost for _, t in trials)
-    return next((m, t) for m, t in trials if t.cost <= lowest + EQUAL)
+    return next((m, t) for m, t in trials if t.cost <= lowest + equal)
 
 
 def mends_wanted(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
@@ -257,10 +262,11 @@ def mends_wanted(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
         before = judged(now)
     for _ in range(2):
         trials = [(m, judged(m.applied(now))) for m in mends(now)]
-        if before.suspicious:
-            # They are many: the valve's path is looked for behind the best.
-            units = [(m, tried(m.applied(now))) for m in unit_mends(now)]
-            unit = _likeliest(units)[0]
+        if before.suspicious or slow:
+            # They are many: the valve's path is looked for anew behind the best only.
+            near = _on_path(now) if slow else now
+            units = [(m, tried(m.applied(near))) for m in unit_mends(now)]
+            unit = _likeliest(units, SAME)[0]
             trials.append((unit, judged(unit.applied(now))))
         mend, after = _likeliest(trials)
         if before.cost - after.cost < CLEAR:

@@ -23,7 +23,7 @@ from hydrojax.identify.checking.lines import (
     written,
 )
 from hydrojax.identify.checking.regression import solved
-from hydrojax.identify.checking.search import Mend, Trial
+from hydrojax.identify.checking.search import INCH, POUND, PSI, Mend, Trial
 from hydrojax.identify.checking.sensors import CLIPPED, DEAD, SENSORS, STUCK, VACUUM
 from hydrojax.logs.tables import SIGNALS
 from hydrojax.parameters import Spec
@@ -41,11 +41,16 @@ SLIPS: Mapping[str, Sequence[tuple[float, str, str]]] = {
         (0.1, "MPa", "bar"), (10.0, "bar", "MPa"), (1e-2, "bar", "kPa"),
         (1e2, "kPa", "bar"), (1e-3, "kPa", "Pa"), (1e3, "Pa", "kPa"),
         (1e-5, "bar", "Pa"), (1e5, "Pa", "bar"), (1e-6, "MPa", "Pa"),
-        (1e6, "Pa", "MPa"),
+        (1e6, "Pa", "MPa"), (PSI / 1e5, "bar", "psi"), (1e5 / PSI, "psi", "bar"),
+        (PSI / 1e3, "kPa", "psi"), (PSI / 1e6, "MPa", "psi"), (PSI, "Pa", "psi"),
     ),
-    "N": ((1e-3, "kN", "N"), (1e3, "N", "kN"), (9.80665, "N", "kgf")),
+    "N": (
+        (1e-3, "kN", "N"), (1e3, "N", "kN"), (9.80665, "N", "kgf"),
+        (POUND, "N", "lbf"), (1 / POUND, "lbf", "N"),
+    ),
     "rad": ((np.pi / 180, "rad", "deg"), (180 / np.pi, "deg", "rad")),
-    "m": ((1e-3, "m", "mm"), (1e3, "mm", "m"), (1e-2, "m", "cm"), (0.1, "cm", "mm")),
+    "m": ((1e-3, "m", "mm"), (1e3, "mm", "m"), (1e-2, "m", "cm"), (0.1, "cm", "mm"),
+          (INCH, "mm", "in"), (1 / INCH, "in", "mm")),
     "{u}": ((1e-3, "V", "mV"), (1e-2, "1", "percent")),
     "m^2": ((1e-6, "m^2", "mm^2"), (1e-4, "m^2", "cm^2"), (1e-2, "cm^2", "mm^2")),
 }  # fmt: skip

@@ -97,7 +97,7 @@ def _friction(
     past, by = _remembered(store, key, moved, make)
     if directions is None:
         return past, None, along
-    spare = max(len(moved) % 2, 2 - len(moved))  # few programs serve any number
+    spare = max(len(moved) % 2, 4 - len(moved))  # few programs serve any number
     by += [jax.tree.map(lambda a: np.zeros(a.shape), past)] * spare
     stacked = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *by)
     return past, stacked, np.pad(along[moved], ((0, spare), (0, 0)))

@@ -9,7 +9,7 @@ pressures), sensors last. Each stage is run along what moves it and along nothin
 from __future__ import annotations
 
 from functools import partial
-from itertools import permutations
+from itertools import chain, permutations
 from typing import NamedTuple
 
 import jax
@@ -44,13 +44,20 @@ where a valve has just opened."""
 
 def memory_names(rig: Rig) -> tuple[str, ...]:
     """The parameters on which what friction remembers depends."""
+    return tuple(chain(*_memory_groups(rig)))
+
+
+def _memory_groups(rig: Rig) -> list[tuple[str, ...]]:
+    """`memory_names` by what has them: what they do is worked out alike."""
     moved = (
-        f"{effect.name}.{field}"
+        tuple(
+            f"{effect.name}.{field}"
+            for field in specs(effect)
+            if getattr(effect, "remembered", None) is None or field in effect.remembered
+        )
         for effect in (*rig.stretch, *rig.velocity, *rig.hysteresis)
-        for field in specs(effect)
-        if getattr(effect, "remembered", None) is None or field in effect.remembered
     )
-    return ("z_ss", "L_rate", *moved)
+    return [("z_ss",), ("L_rate",), *filter(None, moved)]
 
 
 class Recalled(NamedTuple):
@@ -99,15 +106,23 @@ def recall_along(
 ) -> Past:
     """The derivative of `recall` by one of `memory_names`."""
     here = put(model.rig, model.names, values)
+    groups = _memory_groups(here)
+    first = np.cumsum([0, *map(len, groups)])
 
-    def along(name: str) -> Past:
+    def along(i: int) -> Past:
         def memory(of):
-            return friction_memory(put(here, (name,), of), motion)
+            return friction_memory(put(here, groups[i], of), motion)
 
-        return jax.jvp(memory, (get(here, (name,)),), (jnp.ones(1),))[1]
+        move = (jnp.arange(first[i], first[i + 1]) == which) + 0.0
+        return jax.jvp(memory, (get(here, groups[i]),), (move,))[1]
 
-    each = [partial(along, name) for name in memory_names(here)]
-    return each[which]() if isinstance(which, int) else jax.lax.switch(which, each)
+    # A branch for all parameters of an effect: one for each takes twice as long to
+    # compile, and runs as fast.
+    each = [partial(along, i) for i in range(len(groups))]
+    group = np.repeat(np.arange(len(groups)), np.diff(first))
+    if isinstance(which, int):
+        return each[group[which]]()
+    return jax.lax.switch(jnp.asarray(group)[which], each)
 
 
 def sensitivities(
