@@ -15,7 +15,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.check import check_inputs
-from hydrojax.identify.checking.mended import mended_case
+from hydrojax.identify.checking.mended import Findings, mended_case
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
@@ -32,6 +32,7 @@ from hydrojax.identify.estimation.starts import best_start
 from hydrojax.identify.inference.profile import profiles
 from hydrojax.identify.inference.tolerance import with_tolerances
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
+from hydrojax.identify.late import with_delay_replayed, with_late_position
 from hydrojax.identify.longer import with_long_runs
 from hydrojax.identify.motion.predict import check_drive, predict_motion
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
@@ -170,29 +171,28 @@ def trace_case(
     began = time.perf_counter()
     check_drive(case)
     compiled = _Compiling()
+    given = case
     with ThreadPoolExecutor(1) as pool:
-        ready = _Ready.of(case, pool)
+        ready = _Ready.of(given, pool)
+
+        def traced(case: Case, found: Findings) -> tuple:
+            own = ready if case is given else _Ready.of(case, pool)
+            base = own.fitted(case, starts, progress)
+            later = with_delay_replayed(
+                case, given.spec, found, *base[2:], own.free, progress
+            )
+            if later is not found:
+                case, found = mended_case(given, later)
+                own = _Ready.of(case, pool)
+                base = own.fitted(case, starts, progress)
+            return case, found, base[3], own.searched(case, base, progress)
+
         progress("check the inputs")
-        found = check_inputs(case.spec, case.read_logs).found
-        given = case
-        case, found = mended_case(case, found)
-        if case is not given:
-            ready = _Ready.of(case, pool)
-        problem, free = ready.problem, ready.free
-        early, values, done, point = _fit_base(
-            problem, free, starts, progress, case.spec.path
-        )
-        for job in ready.ahead:
-            job.result()
-    start = Tracing(
-        in_short(early),
-        ready.check,
-        ready.effects,
-        free,
-        replace(point, values=values),
-        progress,
-    )
-    state = shed(_on_all(done, _searched(case, search_effects(start))))
+        seen = check_inputs(case.spec, case.read_logs).found
+        case, found, point, state = traced(*mended_case(given, seen))
+        later = with_late_position(case, found, state, progress)
+        if later is not found:
+            case, found, point, state = traced(*mended_case(given, later))
     outcome = _outcome("trace", case, state, point, progress, profile)
     outcome = with_long_runs(case, outcome, identify, progress)
     return with_inputs(_timed(outcome, began, compiled), found)
@@ -230,6 +230,34 @@ class _Ready:
         needed = (check.errors_at, fitted, problem.sums_at) if cores() > 1 else ()
         ahead = tuple(pool.submit(evaluate, values) for evaluate in needed)
         return cls(problem, check, free, effects, ahead)
+
+    def fitted(
+        self, case: Case, starts: int, progress: Progress
+    ) -> tuple[Problem, np.ndarray, Problem, FitPoint]:
+        """The declared model's fit, as `_fit_base` gives it."""
+        path = case.spec.path
+        base = _fit_base(self.problem, self.free, starts, progress, path)
+        for job in self.ahead:
+            job.result()
+        return base
+
+    def searched(
+        self,
+        case: Case,
+        base: tuple[Problem, np.ndarray, Problem, FitPoint],
+        progress: Progress,
+    ) -> Tracing:
+        """What a search for effects finds from the declared model's fit."""
+        early, values, done, point = base
+        start = Tracing(
+            in_short(early),
+            self.check,
+            self.effects,
+            self.free,
+            replace(point, values=values),
+            progress,
+        )
+        return shed(_on_all(done, _searched(case, search_effects(start))))
 
 
 def _searched(case: Case, state: Tracing) -> Tracing:

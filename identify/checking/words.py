@@ -28,6 +28,7 @@ from hydrojax.identify.checking.sensors import CLIPPED, DEAD, SENSORS, STUCK, VA
 from hydrojax.logs.tables import SIGNALS
 from hydrojax.parameters import Spec
 from hydrojax.rigfile.edit import text
+from hydrojax.rigfile.schema import RigFile
 
 NOISE = (1 / 6, 7.0)
 """Ratios of a channel's noise to the stated one beyond which that is called: a slip of
@@ -193,18 +194,38 @@ def of_supply(found: Factor, of: Inputs) -> Finding:
 
 def of_delay(found: Delay, of: Inputs) -> Finding:
     """A position that is late."""
-    name = of.motion
-    before = of.spec.channels[name].late if name in of.spec.channels else 0.0
-    ms = 1e3 * found.seconds
-    lines = columns(
-        of.spec, [name], delay=text(float(f"{before * 1e3 + ms:.3g}"), "ms")
-    )
     size = stiffness(of.brought_forward("x", found.seconds))
-    return Finding(
-        name, "delay", None, size * found.given, size * found.mended, "Pa",
-        f"{name} is {ms:.2g} ms late beside the pressures (a slow bus, or a filter): "
-        f"write {written(lines)}", lines,
-    )  # fmt: skip
+    errors = (size * found.given, size * found.mended)
+    late = Finding(of.motion, "delay", None, *errors, "Pa", "")
+    return with_delay(late, of.spec, of.spec, found.seconds)
+
+
+def late_position(spec: RigFile, name: str, seconds: float) -> Finding:
+    """A position that is late by so many seconds, where no balance shows it."""
+    late = Finding(name, "delay", None, None, None, "", "")
+    return with_delay(late, spec, spec, seconds)
+
+
+def with_delay(late: Finding, given: RigFile, spec: RigFile, more: float) -> Finding:
+    """The finding of a late position, with how late it is.
+
+    Args:
+        late: the finding.
+        given: the rig file in which nothing is mended.
+        spec: the rig file, in which other delays may stand already.
+        more: later than in `spec`, s.
+    """
+    name = late.input
+    was, now = (
+        s.channels[name].late if name in s.channels else 0.0 for s in (given, spec)
+    )
+    ms = float(f"{1e3 * (now + more):.3g}")
+    lines = columns(spec, [name], delay=text(ms, "ms"))
+    says = (
+        f"{name} is {ms - 1e3 * was:.2g} ms late beside the pressures (a slow bus, or "
+        f"a filter): write {written(lines)}"
+    )
+    return replace(late, lines=lines, says=says)
 
 
 def of_force(found: Factor, of: Inputs) -> Finding:

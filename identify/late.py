@@ -1,0 +1,162 @@
+"""How late a position is, as replays have it: a balance of flow knows it less well."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hydrojax.identify.case import Case
+from hydrojax.identify.checking.factors import LATEST
+from hydrojax.identify.checking.mended import Findings
+from hydrojax.identify.checking.path import least
+from hydrojax.identify.checking.words import late_position, with_delay
+from hydrojax.identify.estimation.columns import batch_of
+from hydrojax.identify.estimation.fit import FitPoint, fit_jointly
+from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.tracing.state import Tracing
+from hydrojax.logs.log import Log, brought_forward
+from hydrojax.rigfile.schema import RigFile
+
+STEP = 0.2
+"""Share of a step of the logs by which the position is moved to and fro."""
+
+MOVES = 4
+"""How often it is moved on, at most."""
+
+LEFT = 0.5
+"""Share of what stands above the noise that a late position may leave when it is
+brought forward: on machines that lack other things it leaves over 0.9."""
+
+
+def with_delay_replayed(
+    case: Case,
+    given: RigFile,
+    found: Findings,
+    problem: Problem,
+    point: FitPoint,
+    free: Sequence[str],
+    progress: Callable[[str], None],
+) -> Findings:
+    """The findings, of which that of a late position has the delay by which the model
+    that was fitted leaves least; themselves where that is the delay they have.
+
+    Args:
+        case: with the findings mended in it.
+        given: its rig file as it was.
+        found: in its inputs as they were given.
+        problem: that was fitted.
+        point: where that fit ended.
+        free: what was free in it.
+        progress: is called with a line of text.
+    """
+    late = next((f for f in found if f.mended and f.finding == "delay"), None)
+    if late is None or not problem.sees_pressures:
+        return found
+    progress(f"find the delay of {late.input} by replays")
+    step = STEP * _tick(case)
+    error = _Error(case, problem, point, free, late.input)
+    moves = _lowest(lambda moves: error(moves * step))
+    if moves is None or abs(moves) < STEP / 4:
+        return found
+    new = with_delay(late, given, case.spec, moves * step)
+    return tuple(new if f is late else f for f in found)
+
+
+def with_late_position(
+    case: Case, found: Findings, state: Tracing, progress: Callable[[str], None]
+) -> Findings:
+    """The findings, with that of a position that is late, where bringing it forward
+    takes most of what the model that was found leaves above the noise; else themselves.
+
+    What a valve's path does is known by then, and a balance of flow cannot tell it from
+    a late position.
+
+    Args:
+        case: with the findings mended in it.
+        found: in its inputs.
+        state: where the trace ended.
+        progress: is called with a line of text.
+    """
+    problem, own, noise = state.problem, state.criteria, state.noise
+    seen = np.isfinite(noise) & PRESSURES
+    rms = state.check.rms(state.check.errors_at(state.point.values))
+    known = any(f.finding == "delay" for f in found)
+    if known or not np.any((rms > own.at_noise * noise)[seen]):
+        return found
+    name = "x" if "x" in case.read_logs[0].signals else "psi"
+    progress(f"see whether {name} is late")
+    tick, weights = _tick(case), np.where(seen, noise, np.inf)
+    error = _Error(case, problem, state.point, state.free, name, weights)
+    given = best = error(0.0)
+    late = 0
+    while (ticks := max(2 * late, 1)) * tick <= LATEST:
+        if (later := error(ticks * tick)) >= best:
+            break
+        best, late = later, ticks
+    floor = np.sum(seen)
+    if not late or best - floor > LEFT * (given - floor):
+        return found
+    around = (late // 2 * tick, min(2 * late * tick, LATEST))
+    return (*found, late_position(case.spec, name, least(error, around, tick / 2)[0]))
+
+
+def _tick(case: Case) -> float:
+    return float(np.median(np.diff(case.read_logs[0].time)))
+
+
+class _Error:
+    """The squared errors, over their weights, of a fit with a signal brought forward by
+    so many seconds more.
+    """
+
+    def __init__(
+        self,
+        case: Case,
+        problem: Problem,
+        point: FitPoint,
+        free: Sequence[str],
+        name: str,
+        weights: np.ndarray | None = None,
+    ):
+        self.case, self.problem, self.point = case, problem, point
+        self.free, self.name = tuple(free), name
+        self.weights = point.weights if weights is None else weights
+
+    def __call__(self, seconds: float) -> float:
+        logs = [_later(log, self.name, seconds) for log in self.case.read_logs]
+        data = self.case.preparation.data(logs)
+        moved = replace(self.problem, batch=batch_of(data))
+        point = self.point
+        moved, at = fit_jointly(moved, point.values, self.free, point.weights)
+        seen = np.isfinite(self.weights)
+        left = moved.rms(moved.errors_at(at.values)) / self.weights
+        return float(np.sum(left[seen] ** 2))
+
+
+def _later(log: Log, name: str, seconds: float) -> Log:
+    """The log with a signal brought forward by some more time."""
+    signals, segments = brought_forward(
+        log.time, log.signals, log.segments, {name: seconds}
+    )
+    return replace(log, signals=signals, segments=segments)
+
+
+def _lowest(error: Callable[[int], float]) -> float | None:
+    """Where the parabola through the least error and those beside it has its lowest
+    point; None where no least one is found.
+    """
+    known = {i: error(i) for i in (-1, 0, 1)}
+    for _ in range(MOVES):
+        lowest = min(known, key=lambda i: known[i])
+        beside = {lowest - 1, lowest + 1} - known.keys()
+        if not beside:
+            break
+        known |= {i: error(i) for i in beside}
+    lowest = min(known, key=lambda i: known[i])
+    if not {lowest - 1, lowest + 1} <= known.keys():
+        return None
+    before, here, after = (known[lowest + i] for i in (-1, 0, 1))
+    bend = before - 2 * here + after
+    return lowest + (0.5 * (before - after) / bend if bend > 0 else 0.0)

@@ -1,0 +1,95 @@
+"""How late a position is, found by replays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+import hydrojax as hj
+from benchmarks.machines import files, record
+from hydrojax.identify import api
+from hydrojax.identify.case import open_case
+from hydrojax.identify.checking.mended import mended_case
+from hydrojax.identify.checking.words import late_position
+from hydrojax.identify.late import _lowest, with_delay_replayed, with_late_position
+from hydrojax.identify.tracing.state import Tracing
+
+
+@pytest.mark.parametrize("at", [-3.6, -0.3, 0.0, 2.45])
+def test_the_lowest_point_is_the_parabolas(at):
+    asked = []
+
+    def error(i):
+        asked.append(i)
+        return 2.0 + 3.0 * (i - at) ** 2
+
+    assert _lowest(error) == pytest.approx(at)
+    assert len(asked) == len(set(asked))  # each is a fit
+
+
+def test_no_lowest_point_is_made_up():
+    """Where the error falls as far as it is followed."""
+    assert _lowest(lambda i: -float(i)) is None
+
+
+def opened(seed, seconds, folder):
+    """A machine of 100 Hz whose position is logged so much later."""
+    files.write(record.record([seed])[0], folder)
+    rig = hj.RigFile.load(folder / "rig.toml")
+
+    def late(path):
+        log = hj.Log.load(path, rig.channels)
+        x = CubicSpline(log.time, log.signals["x"])(log.time - seconds)
+        first = log.time < log.time[0] + seconds
+        x = np.where(first, log.signals["x"][0], x)
+        return replace(log, signals=log.signals | {"x": x})
+
+    fit, held = (
+        [late(p) for p in sorted(folder.glob(kind))] for kind in ("fit*", "val*")
+    )
+    return open_case(rig, fit, held)
+
+
+def ended(case):
+    """Where a trace stands that found nothing."""
+    problem, check, free, effects = api._problems(case, ())
+    *_, problem, point = api._fit_base(problem, free, 1, print, "rig.toml")
+    return Tracing(problem, check, effects, free, point, print)
+
+
+@pytest.mark.slow
+def test_a_position_that_no_balance_shows_to_be_late_is_brought_forward(tmp_path):
+    """Behind a valve of dead time, lag and dead band, which are declared: to a tick
+    first, and to a twentieth of it once that is mended.
+    """
+    case = opened(21, 0.030, tmp_path)
+    state = ended(case)
+    assert hj.check(case.spec, case.read_logs).found == ()
+    (found,) = with_late_position(case, (), state, print)
+    assert (found.input, found.finding) == ("x", "delay")
+    near, (marked,) = mended_case(case, [found])
+    assert near.spec.channels["x"].late == pytest.approx(0.030, abs=0.010)
+    # From as far off as a balance finds it.
+    rough = late_position(case.spec, "x", 0.034)
+    near, (marked,) = mended_case(case, [rough])
+    there = ended(near)
+    late = with_delay_replayed(
+        near, case.spec, (marked,), there.problem, there.point, there.free, print
+    )
+    true, _ = mended_case(case, late)
+    assert true.spec.channels["x"].late == pytest.approx(0.030, abs=5e-4)
+    assert "30" in late[0].says and "34" not in late[0].says
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [83, 92])
+def test_what_a_model_lacks_is_not_a_late_position(seed, tmp_path):
+    """83 lacks a dead band and air, 92 air, a dead time and a rate limit."""
+    case = opened(seed, 0.0, tmp_path)
+    state = ended(case)
+    rms = state.check.rms(state.check.errors_at(state.point.values))
+    assert np.max(rms[:2] / state.noise[:2]) > 2.0
+    assert with_late_position(case, (), state, print) == ()
