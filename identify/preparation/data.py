@@ -194,7 +194,11 @@ def _spread_windows(
         InputError: no stretch is long enough for a window.
     """
     T, pre, _, lead, _ = size
-    starts = [starts_in(logs[i].time[r], T, pre, lead) for i, r in rows]
+    moves = "x" if "x" in logs[0].signals else "psi"
+    starts = [
+        starts_in(logs[i].time[r], logs[i].signals[moves][r], T, pre, lead)
+        for i, r in rows
+    ]
     count, most = sum(map(len, starts)), max(criteria.most_ticks // (lead + T), 1)
     if count == 0:
         raise InputError(

@@ -31,6 +31,11 @@ and film start from is unknown. Half of it in segments under `SHORT` seconds."""
 
 SHORT = 5.0
 
+MOVED, BY = 0.01, 0.1
+"""Share of a segment's travel that the piston has left where it stood by when windows
+begin: until then a play, or oil behind a valve that is shut, stands as nobody knows.
+Not waited for through more than so much of the segment."""
+
 RUN = 20
 """Windows that follow each other where only some of a log's are taken: friction is
 followed through them, and through the seconds ahead, so that memory does not grow with
@@ -43,10 +48,21 @@ QUARTERS = 4
 """Steps of the bristle per tick."""
 
 
-def starts_in(t: Float[np.ndarray, "ticks"], T: int, pre: int, lead: int) -> range:
-    """First ticks (of the lead) of the windows that tile a segment with times `t`."""
+def starts_in(
+    t: Float[np.ndarray, "ticks"],
+    x: Float[np.ndarray, "ticks"],
+    T: int,
+    pre: int,
+    lead: int,
+) -> range:
+    """First ticks (of the lead) of the windows that tile a segment with times `t` and
+    positions `x`.
+    """
     settle = SETTLE if t[-1] - t[0] > SHORT else SETTLE / 2
     settled = int(np.searchsorted(t, t[0] + settle))
+    moved = int(np.argmax(np.abs(x - x[0]) > MOVED * np.ptp(x)))
+    if moved <= BY * t.size:
+        settled = max(settled, moved)
     begin = max(settled - lead, pre)
     return range(begin, t.size - lead - T + 1, T)
 
