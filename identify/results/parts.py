@@ -107,6 +107,20 @@ def aliases(effect: str, spec: RigFile) -> tuple[str, ...]:
     return tuple(n for n in ALIASES.get(effect, ()) if n in held)
 
 
+def within_tolerance(effect: FoundEffect, spec: RigFile) -> tuple[str, ...]:
+    """The areas in whose stated tolerances, at two standard deviations, an effect that
+    is the same as a wrong area lies.
+    """
+    if effect.name != "loadcell_gain":
+        return ()
+    size = abs(effect.parameters["eps"].value)
+    return tuple(
+        n
+        for n in aliases(effect.name, spec)
+        if size <= 2 * spec.tolerances.get(n, 0.0) / spec.geometry[n]
+    )
+
+
 def named_effects(
     case: Case,
     state: Tracing,

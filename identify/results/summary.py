@@ -29,6 +29,7 @@ from hydrojax.identify.results.parts import (
     parameters_of,
     series_of,
     signals_of,
+    within_tolerance,
 )
 from hydrojax.identify.results.sentence import (
     verdict_sentence,
@@ -79,7 +80,15 @@ def summarise(
         verdict=verdict,
         sentence=without_skill(channels, state.criteria.at_noise)
         + with_ends(
-            verdict_sentence(command, verdict, effects, left, case.held_out, needed),
+            verdict_sentence(
+                command,
+                verdict,
+                effects,
+                left,
+                case.held_out,
+                needed,
+                {e.name: within_tolerance(e, case.spec) for e in effects},
+            ),
             _at_ends(state, uncertainty),
         ),
         parameters=parameters_of(case, state, uncertainty),

@@ -7,9 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import hydrojax as hj
 from hydrojax.identify.report.headline import grade, headline, loop_verdict
 from hydrojax.identify.report.traces import SECONDS, stretch
-from hydrojax.identify.results.outcome import Horizon, LoopCheck
+from hydrojax.identify.results.outcome import (
+    FoundEffect,
+    Horizon,
+    LoopCheck,
+    Parameter,
+)
+from hydrojax.identify.results.parts import within_tolerance
 from hydrojax.identify.results.sentence import verdict_sentence
 from hydrojax.identify.results.unexplained import LeftOpen
 from tests.identify.test_report import OUTCOMES, explained
@@ -104,3 +111,21 @@ def test_the_stretch_is_where_the_error_is():
     part = stretch(t, error)
     assert t[part][0] <= 12.02 and t[part][-1] >= 12.98
     assert t[part][-1] - t[part][0] <= SECONDS
+
+
+@pytest.mark.parametrize(("eps", "within"), [(0.015, True), (0.025, False)])
+def test_a_gain_within_the_areas_tolerance_is_said_to_be(eps, within):
+    """Of an area known to 1 %, standard deviation; that of chamber 2 is exact."""
+    rig = hj.RigFile.from_text(
+        'name = "a press"\nlayout = "differential"\n[geometry]\n'
+        'area_1 = "5e-3 m^2 +- 1 %"\narea_2 = "3e-3 m^2"\nchamber_length = "0.5 m"\n'
+        '[supply]\nP_s = "14 MPa"\n[parameters]\nbeta = "8e8 Pa"\n'
+    )
+    gain = Parameter(eps, "1", "gain error", 0.0, True)
+    effect = FoundEffect("loadcell_gain", {"eps": gain}, 1e-9, {}, {}, (), "F", 1.0)
+    same = within_tolerance(effect, rig)
+    assert same == (("area_1",) if within else ())
+    said = verdict_sentence(
+        "trace", "explained", (effect,), (), True, LeftOpen(), {effect.name: same}
+    )
+    assert ("loadcell_gain (or area_1, within its tolerance):" in said) == within
