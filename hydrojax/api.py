@@ -64,6 +64,7 @@ def trace(
     starts: int = 1,
     profile: bool = False,
     progress: Progress = lambda _: None,
+    early: Callable[[Result], None] = lambda _: None,
 ) -> Result:
     """Find the effects behind the residual: fit, score, refit, validate, and again.
 
@@ -80,12 +81,16 @@ def trace(
         starts: number of starts of the first fit.
         profile: 95 % intervals by profile likelihood too: many refits.
         progress: is called with a line of text at each stage.
+        early: is called with the result before values for longer runs are looked for,
+            which takes minutes; not where they are not (`outcome.long_runs`).
 
     Raises:
         InputError: whatever is wrong with rig or logs, in one line.
     """
     case = _opened(rig, logs, validate, test, horizon, criteria)
-    outcome = api.trace_case(case, starts, progress, profile)
+    outcome = api.trace_case(
+        case, starts, progress, profile, lambda mended, now: early(Result(now, mended))
+    )
     return Result(outcome, mended_case(case, outcome.inputs)[0])
 
 

@@ -163,10 +163,13 @@ def trace_case(
     starts: int = 1,
     progress: Progress = lambda _: None,
     profile: bool = False,
+    early: Callable[[Case, Outcome], None] = lambda *_: None,
 ) -> Outcome:
     """The whole loop: fit, residual, the effect behind it, refit, before and after.
 
     Inputs that look wrong are mended first, where a line of the rig file does that.
+    `early` is given the case, mended, and what was found, before values for longer runs
+    are looked for, where they are.
     """
     began = time.perf_counter()
     check_drive(case)
@@ -194,8 +197,15 @@ def trace_case(
         if later is not found:
             case, found, point, state = traced(*mended_case(given, later))
     outcome = _outcome("trace", case, state, point, progress, profile)
-    outcome = with_long_runs(case, outcome, identify, progress)
-    return with_inputs(_timed(outcome, began, compiled), found)
+
+    def said(outcome: Outcome) -> Outcome:
+        return with_inputs(_timed(outcome, began, compiled), found)
+
+    return said(
+        with_long_runs(
+            case, outcome, identify, progress, lambda now: early(case, said(now))
+        )
+    )
 
 
 def _timed(outcome: Outcome, began: float, compiled: _Compiling) -> Outcome:

@@ -18,6 +18,7 @@ def with_long_runs(
     found: Outcome,
     fit: Callable[[Case, int, Progress], Outcome],
     progress: Progress = lambda _: None,
+    early: Callable[[Outcome], None] = lambda _: None,
 ) -> Outcome:
     """The outcome with values fitted to longer runs, where those found have little
     skill through whole logs, and these have more in every pressure.
@@ -32,11 +33,13 @@ def with_long_runs(
         found: in it.
         fit: fits the declared model of a case, from so many starts.
         progress: is called with a line of text at each fit.
+        early: is given `found` before the first of them: together they take minutes.
     """
     own, length = case.criteria, case.preparation.horizon
     advice = drifting(found.channels, found.verdict, length, own)
     if not advice or case.test is not None:
         return found
+    early(found)
     best, text = None, found.rig_file
     for seconds in (own.longer_run, own.longest_run):
         progress(f"fit runs of {seconds:g} s")

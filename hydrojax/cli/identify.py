@@ -163,7 +163,7 @@ def trace(
         result = api.trace(
             rig, logs, validate, test or (), horizon=horizon, starts=starts,
             criteria=Criteria(matters=matters, level=level), profile=profile,
-            progress=progress,
+            progress=progress, early=lambda now: now.save(out, command_line(context)),
         )  # fmt: skip
         if discover and result.verdict == "unknown":
             result = _discovered(context, result, out, starts, profile, progress)

@@ -102,9 +102,22 @@ def test_a_run_that_ended_is_outdone_by_one_that_does_not():
     ids=["with skill", "explained", "long already", "no pressure"],
 )
 def test_nothing_is_fitted_where_nothing_drifts(before, horizon):
-    fit = Mock()
-    assert with_long_runs(case(horizon), before, fit) is before
+    fit, early = Mock(), Mock()
+    assert with_long_runs(case(horizon), before, fit, early=early) is before
     fit.assert_not_called()
+    early.assert_not_called()
+
+
+def test_what_was_found_is_given_before_the_fits_that_take_minutes():
+    order = []
+
+    def fit(*_):
+        order.append("fit")
+        return found({"P_a1": 0.8, "P_a2": 0.9})
+
+    before = found(POOR)
+    with_long_runs(case(), before, fit, early=order.append)
+    assert order == [before, "fit", "fit"]
 
 
 def test_logs_that_are_too_short_are_left_at_what_was_found():
