@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from hydrojax.effects import EFFECTS
@@ -25,6 +26,7 @@ def limits_of(
     effects: tuple[FoundEffect, ...],
     channels: Mapping[str, ChannelErrors],
     verdict: str,
+    where: Mapping[str, str],
 ) -> tuple[str, ...]:
     """Sentences on where the figures of a run end: ranges, look-alikes, doubts.
 
@@ -35,6 +37,7 @@ def limits_of(
         effects: that were named.
         channels: their errors, by name.
         verdict: of the run.
+        where: in which few windows a channel's error lies, by name.
     """
     own = state.criteria
     return (
@@ -42,7 +45,7 @@ def limits_of(
         *_undecided(effects),
         *_same_as_inputs(effects, uncertainty, own.alike_gains),
         *_untested(case, channels, verdict, own.at_noise),
-        *_not_quite(state, channels, verdict),
+        *_not_quite(state, channels, verdict, where),
         *_noisier(case, channels, own.at_noise),
         *drifting(channels, verdict, case.preparation.horizon, case.criteria),
     )
@@ -107,14 +110,22 @@ def _untested(
 
 
 def _not_quite(
-    state: Tracing, channels: Mapping[str, ChannelErrors], verdict: str
+    state: Tracing,
+    channels: Mapping[str, ChannelErrors],
+    verdict: str,
+    where: Mapping[str, str] = MappingProxyType({}),
 ) -> list[str]:
     """Channels that count as at their noise and are above it, with what shows there."""
     own = state.criteria
-    high = [
-        f"{name} is at {c.after / c.noise:.3g} times its noise"
+    above = [
+        name
         for name, c in channels.items()
         if c.noise and c.after > own.notable * c.noise
+    ]
+    high = [
+        f"{name} is at {channels[name].after / channels[name].noise:.3g} times its "
+        "noise"
+        for name in above
     ]
     if verdict == "unknown" or not high:
         return []
@@ -122,6 +133,8 @@ def _not_quite(
     added = {a.name for a in state.added}
     shows = [n for n in p if p[n] < own.level and n in state.tried and n not in added]
     said = f"{' and '.join(high)}, which counts as at it"
+    if len(above) == 1:
+        said += where.get(above[0], "")
     if shows:
         also = "shows" if len(shows) == 1 else "show"
         said += (

@@ -36,7 +36,12 @@ from hydrojax.identify.results.sentence import (
     with_ends,
     without_skill,
 )
-from hydrojax.identify.results.unexplained import LeftOpen, extrapolation, unexplained
+from hydrojax.identify.results.unexplained import (
+    LeftOpen,
+    extrapolation,
+    lies_in,
+    unexplained,
+)
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.screen import size_that_matters
@@ -71,6 +76,13 @@ def summarise(
         else LeftOpen()
     )
     effects = named_effects(case, state, uncertainty, (errors[0], errors[1]))
+    places = _places(case, after.shape[1])
+    where = {
+        CHANNELS[c]: lies_in(
+            after[..., c], float(state.noise[c]), places, state.criteria
+        )
+        for c in seen
+    }
     return Outcome(
         command=command,
         rig=case.spec.name,
@@ -96,7 +108,7 @@ def summarise(
         effects=effects,
         candidates=_candidates(state),
         unexplained=left,
-        limits=limits_of(case, state, uncertainty, effects, channels, verdict),
+        limits=limits_of(case, state, uncertainty, effects, channels, verdict, where),
         notes=_notes(case),
         series=series_of(case, before, after, signals, seen),
         values=state.named,
@@ -152,14 +164,7 @@ def _left(
     """What stays above the noise of the validation logs: residuals `after` [W, T, 3],
     whose RMS is `errors` [3].
     """
-    windows = case.check.windows
-    tick = float(np.median(windows.h))
-    t = np.asarray(windows.t)[:, -after.shape[1] :]
-    names = [log.name for log in case.check_logs]
-    places = [
-        (names[i], float(own[0]), float(own[-1]))
-        for i, own in zip(case.check.log, t, strict=True)
-    ]
+    tick, places = float(np.median(case.check.windows.h)), _places(case, after.shape[1])
     return tuple(
         unexplained(
             CHANNELS[c],
@@ -174,6 +179,16 @@ def _left(
         for c in seen
         if errors[c] > state.criteria.at_noise * state.noise[c]
     )
+
+
+def _places(case: Case, ticks: int) -> list[tuple[str, float, float]]:
+    """Log, start and end (s) of the compared ticks of each validation window."""
+    t = np.asarray(case.check.windows.t)[:, -ticks:]
+    names = [log.name for log in case.check_logs]
+    return [
+        (names[i], float(own[0]), float(own[-1]))
+        for i, own in zip(case.check.log, t, strict=True)
+    ]
 
 
 def _notes(case: Case) -> tuple[str, ...]:

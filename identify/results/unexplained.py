@@ -81,6 +81,20 @@ def unexplained(
     )  # fmt: skip
 
 
+def lies_in(
+    residual: Float[np.ndarray, "windows ticks"],
+    noise: float,
+    places: Sequence[tuple[str, float, float]],
+    criteria: Criteria,
+) -> str:
+    """In which few windows most of what is above the noise lies; empty where in many.
+
+    The arguments are those of `unexplained`.
+    """
+    where = _in_few(residual, noise, places, criteria)
+    return _said_of(where, len(residual), "what is above")
+
+
 def _in_few(
     residual: np.ndarray,
     noise: float,
@@ -98,7 +112,7 @@ def _in_few(
     return tuple(Stretch(*places[i], float(share[i])) for i in map(int, order[:count]))
 
 
-def _said_of(where: Sequence[Stretch], windows: int) -> str:
+def _said_of(where: Sequence[Stretch], windows: int, what: str = "it") -> str:
     if not where:
         return ""
     share = 100 * sum(w.share for w in where)  # of an excess that others lie below
@@ -109,7 +123,7 @@ def _said_of(where: Sequence[Stretch], windows: int) -> str:
     first = ", ".join(f"{log} from {', '.join(t)} s" for log, t in times.items())
     count = "one" if len(where) == 1 else str(len(where))
     more = " and others" if len(where) > 3 else ""
-    return f"; {part} of it lies in {count} of {windows} windows ({first}{more})"
+    return f"; {part} of {what} lies in {count} of {windows} windows ({first}{more})"
 
 
 def _share(d: Dependence) -> float:
