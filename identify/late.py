@@ -90,15 +90,15 @@ def with_late_position(
     tick, weights = _tick(case), np.where(seen, noise, np.inf)
     error = _Error(case, problem, state.point, state.free, name, weights)
     given = best = error(0.0)
-    late = 0
-    while (ticks := max(2 * late, 1)) * tick <= LATEST:
+    late = 0.0
+    while (ticks := max(2 * late, 0.5)) * tick <= LATEST:
         if (later := error(ticks * tick)) >= best:
             break
         best, late = later, ticks
     floor = np.sum(seen)
     if not late or best - floor > LEFT * (given - floor):
         return found
-    around = (late // 2 * tick, min(2 * late * tick, LATEST))
+    around = (late / 2 * tick, min(2 * late * tick, LATEST))
     return (*found, late_position(case.spec, name, least(error, around, tick / 2)[0]))
 
 
