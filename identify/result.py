@@ -144,7 +144,7 @@ class Result:
     @cached_property
     def model(self) -> Rig:
         """The identified rig: a pytree, exactly as it was fitted."""
-        rig = build_rig(self.case.spec, [e.name for e in self.effects])
+        rig = build_rig(self.case.spec, self.outcome.in_model)
         names = tuple(parameter_specs(rig))
         own = np.asarray(get(rig, names)).tolist()
         found = self.outcome.values

@@ -33,7 +33,7 @@ def begun(
     case: Case, outcome: Outcome, progress: Callable[[str], None] = lambda _: None
 ) -> Search:
     """A search that stands where a fit or a trace ended, every free form dormant."""
-    found = [e.name for e in outcome.effects]
+    found = outcome.in_model
     rig = build_rig(case.spec, found, [form() for form in FORMS])
     free = free_parameters(case.spec)
     for name, effect in effects_of(found, case.spec).items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -49,6 +49,28 @@ def limits_of(
         *_noisier(case, channels, own.at_noise),
         *drifting(channels, verdict, case.preparation.horizon, case.criteria),
     )
+
+
+def said_tolerated(
+    found: Sequence[FoundEffect], tolerated: Mapping[str, tuple[str, ...]]
+) -> list[str]:
+    """Of effects that a stated tolerance accounts for, what they are.
+
+    Args:
+        found: all that were added.
+        tolerated: the areas whose tolerances account for one, by its name.
+    """
+    out = []
+    for e in (e for e in found if e.name in tolerated):
+        off, same = 100 * e.parameters["eps"].value, tolerated[e.name]
+        gives = "gives" if len(same) == 1 else "give"
+        out.append(
+            f"F is {abs(off):.2g} % {'larger' if off > 0 else 'smaller'} than "
+            f"{' and '.join(same)} {gives} it, which lies within the tolerance in the "
+            f"rig file, at two standard deviations: {e.name} stands for it in "
+            "rig.toml, and is not called missing"
+        )
+    return out
 
 
 def _undecided(effects: tuple[FoundEffect, ...]) -> list[str]:

@@ -310,7 +310,9 @@ class Outcome:
     none were given: errors are then those of the fitted logs. `files` are the logs;
     `curves` what was found beside the known effects, where it was asked for; `motion`
     what a rig file predicts of it, which no verdict counts; `long_runs` values for
-    longer runs, where those found have no skill through whole logs.
+    longer runs, where those found have no skill through whole logs; `tolerated` the
+    effects in the model that lie within the tolerance of a constant that is the same,
+    which are not called missing.
     """
 
     command: str
@@ -339,11 +341,17 @@ class Outcome:
     curves: tuple[FoundCurve, ...] = ()
     motion: PredictedMotion | None = None
     long_runs: LongRuns | None = None
+    tolerated: tuple[str, ...] = ()
 
     @property
     def every_channel(self) -> dict[str, ChannelErrors]:
         """The channels that were compared, and the motion where it was predicted."""
         return self.channels | ({"x": self.motion.channels["x"]} if self.motion else {})
+
+    @property
+    def in_model(self) -> tuple[str, ...]:
+        """The effects in the model that the rig file does not declare."""
+        return (*(e.name for e in self.effects), *self.tolerated)
 
     @property
     def explained_share(self) -> float:

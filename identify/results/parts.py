@@ -73,9 +73,13 @@ def parameter_of(
 
 
 def parameters_of(
-    case: Case, state: Tracing, uncertainty: Uncertainty
+    case: Case,
+    state: Tracing,
+    uncertainty: Uncertainty,
+    tolerated: tuple[str, ...] = (),
 ) -> dict[str, Parameter]:
-    """Base parameters and those of effects that the rig file declares.
+    """Base parameters and those of effects that the rig file declares, or that a stated
+    tolerance accounts for.
 
     Without a valve the chambers do not take part, and are left out.
     """
@@ -85,7 +89,7 @@ def parameters_of(
         if name in unused:
             continue
         effect = name.split(".")[0] if "." in name else None
-        if effect is None or effect in case.spec.effects:
+        if effect is None or effect in (*case.spec.effects, *tolerated):
             shown, p = parameter_of(name, case, state, uncertainty, spec)
             out[f"{effect}.{shown}" if effect else shown] = p
     return out
@@ -137,6 +141,8 @@ def named_effects(
     # An effect counts up to where the next one came in, the last to the end:
     # the force is fitted only after the pressures have theirs.
     ends = [errors[0], *(a.before for a in state.added[1:]), errors[1]]
+    # Until then it may be further off than it was before all of them.
+    ends = [*np.minimum(ends[:-1], errors[0]), ends[-1]]
     excess = [sum(excess_of(e[c], state.noise[c]) for c in seen) for e in ends]
     for i, added in enumerate(state.added):
         own = [n for n in spec if n.startswith(f"{added.name}.")]

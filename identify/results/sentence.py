@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 from hydrojax.identify.results.outcome import (
     ChannelErrors,
@@ -49,20 +48,13 @@ def verdict_sentence(
     left: tuple[Unexplained, ...],
     held_out: bool,
     needed: LeftOpen,
-    within: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
 ) -> str:
     """What a run found, in one sentence.
 
     `left` is what stays above its noise, `needed` what the fitted logs leave open and
-    the validation logs depend on, `within` the constants in whose tolerances effects
-    lie that are the same.
+    the validation logs depend on.
     """
-
-    def said(name: str) -> str:
-        same = " and ".join(within.get(name, ()))
-        return f"{name} (or {same}, within its tolerance)" if same else name
-
-    names, many = " and ".join(said(e.name) for e in effects), len(effects) > 1
+    names, many = " and ".join(e.name for e in effects), len(effects) > 1
     where = "validation" if held_out else "fitted"
     if verdict == "nothing missing":
         return f"Nothing is missing: every channel of the {where} logs is at its noise."

@@ -14,7 +14,7 @@ from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.inference.uncertainty import Uncertainty, is_whole
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.horizons import horizons_of
-from hydrojax.identify.results.limits import limits_of
+from hydrojax.identify.results.limits import limits_of, said_tolerated
 from hydrojax.identify.results.outcome import (
     Candidate,
     ChannelErrors,
@@ -69,20 +69,16 @@ def summarise(
     channels = _channels(case, state, ends, errors, seen)
     signals = signals_of(case.check, before.shape[1], case.spec.geometry.get("radius"))
     left = _left(case, state, after, errors[1], signals, seen)
-    verdict = "unknown" if left else "explained" if state.added else "nothing missing"
+    found = named_effects(case, state, uncertainty, (errors[0], errors[1]))
+    tolerated = {e.name: own for e in found if (own := within_tolerance(e, case.spec))}
+    effects = tuple(e for e in found if e.name not in tolerated)
+    verdict = "unknown" if left else "explained" if effects else "nothing missing"
     needed = (
         extrapolation(state, uncertainty.unidentifiable)
         if left and case.held_out
         else LeftOpen()
     )
-    effects = named_effects(case, state, uncertainty, (errors[0], errors[1]))
-    places = _places(case, after.shape[1])
-    where = {
-        CHANNELS[c]: lies_in(
-            after[..., c], float(state.noise[c]), places, state.criteria
-        )
-        for c in seen
-    }
+    where = _in_few_windows(case, state, after, seen)
     return Outcome(
         command=command,
         rig=case.spec.name,
@@ -92,23 +88,19 @@ def summarise(
         verdict=verdict,
         sentence=without_skill(channels, state.criteria.at_noise)
         + with_ends(
-            verdict_sentence(
-                command,
-                verdict,
-                effects,
-                left,
-                case.held_out,
-                needed,
-                {e.name: within_tolerance(e, case.spec) for e in effects},
-            ),
+            verdict_sentence(command, verdict, effects, left, case.held_out, needed),
             _at_ends(state, uncertainty),
         ),
-        parameters=parameters_of(case, state, uncertainty),
+        parameters=parameters_of(case, state, uncertainty, tuple(tolerated)),
         channels=channels,
         effects=effects,
-        candidates=_candidates(state),
+        candidates=_candidates(state, tuple(tolerated)),
         unexplained=left,
-        limits=limits_of(case, state, uncertainty, effects, channels, verdict, where),
+        limits=(
+            *said_tolerated(found, tolerated),
+            *limits_of(case, state, uncertainty, effects, channels, verdict, where),
+        ),
+        tolerated=tuple(tolerated),
         notes=_notes(case),
         series=series_of(case, before, after, signals, seen),
         values=state.named,
@@ -191,6 +183,19 @@ def _places(case: Case, ticks: int) -> list[tuple[str, float, float]]:
     ]
 
 
+def _in_few_windows(
+    case: Case, state: Tracing, after: np.ndarray, seen: list[int]
+) -> dict[str, str]:
+    """In which few windows what is above the noise lies, by channel."""
+    places = _places(case, after.shape[1])
+    return {
+        CHANNELS[c]: lies_in(
+            after[..., c], float(state.noise[c]), places, state.criteria
+        )
+        for c in seen
+    }
+
+
 def _notes(case: Case) -> tuple[str, ...]:
     notes = list(dict.fromkeys((*case.fit.notes, *case.check.notes)))
     if not case.held_out:
@@ -223,15 +228,20 @@ WHY = {
 }
 
 
-def _candidates(state: Tracing) -> tuple[Candidate, ...]:
+def _candidates(
+    state: Tracing, tolerated: tuple[str, ...] = ()
+) -> tuple[Candidate, ...]:
     p = family(state.scores, state.criteria)
     first = {a.name: a for a in state.added}
     small = state.criteria.smallest_gain * size_that_matters(state, state.noise)
     out = []
     for name, s in state.scores.items():
         what = status(state, name, p[name])
+        what = "cannot tell" if name in tolerated else what
         why = WHY.get(state.tried.get(name, ""), "")
-        if what == "added":
+        if name in tolerated:
+            why = "within the tolerance of a constant that is the same"
+        elif what == "added":
             why = "lowers the validation error most, beyond chance"
         elif what == "absent":
             why = "these logs would have shown it at a size that matters"

@@ -113,8 +113,8 @@ def test_the_stretch_is_where_the_error_is():
     assert t[part][-1] - t[part][0] <= SECONDS
 
 
-@pytest.mark.parametrize(("eps", "within"), [(0.015, True), (0.025, False)])
-def test_a_gain_within_the_areas_tolerance_is_said_to_be(eps, within):
+@pytest.mark.parametrize(("eps", "within"), [(0.015, True), (-0.025, False)])
+def test_a_gain_lies_within_the_areas_tolerance_or_not(eps, within):
     """Of an area known to 1 %, standard deviation; that of chamber 2 is exact."""
     rig = hj.RigFile.from_text(
         'name = "a press"\nlayout = "differential"\n[geometry]\n'
@@ -123,9 +123,4 @@ def test_a_gain_within_the_areas_tolerance_is_said_to_be(eps, within):
     )
     gain = Parameter(eps, "1", "gain error", 0.0, True)
     effect = FoundEffect("loadcell_gain", {"eps": gain}, 1e-9, {}, {}, (), "F", 1.0)
-    same = within_tolerance(effect, rig)
-    assert same == (("area_1",) if within else ())
-    said = verdict_sentence(
-        "trace", "explained", (effect,), (), True, LeftOpen(), {effect.name: same}
-    )
-    assert ("loadcell_gain (or area_1, within its tolerance):" in said) == within
+    assert within_tolerance(effect, rig) == (("area_1",) if within else ())

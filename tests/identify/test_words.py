@@ -11,8 +11,13 @@ import pytest
 from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.known import Free
 from hydrojax.identify.inference.uncertainty import _at_end, is_whole
-from hydrojax.identify.results.limits import _noisier, _not_quite, _same_as_inputs
-from hydrojax.identify.results.outcome import ChannelErrors, FoundEffect
+from hydrojax.identify.results.limits import (
+    _noisier,
+    _not_quite,
+    _same_as_inputs,
+    said_tolerated,
+)
+from hydrojax.identify.results.outcome import ChannelErrors, FoundEffect, Parameter
 from hydrojax.identify.results.summary import with_inputs
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Score
@@ -119,3 +124,13 @@ def test_a_channel_a_little_above_its_noise_is_said_to_be():
     assert "counts as at it; 80 % of what is above lies in 2 of 60" in said
     assert _not_quite(state, channels, "unknown") == []
     assert _not_quite(state, {"P_a1": channels["P_a1"]}, "explained") == []
+
+
+def test_what_a_tolerance_accounts_for_is_said_and_not_called_missing():
+    gain = Parameter(-0.008, "1", "gain error", 0.0, True)
+    found = [FoundEffect("loadcell_gain", {"eps": gain}, 1e-9, {}, {}, (), "F", 1.0)]
+    (said,) = said_tolerated(found, {"loadcell_gain": ("area",)})
+    assert (
+        said.startswith("F is 0.8 % smaller than area gives it") and "rig.toml" in said
+    )
+    assert said_tolerated(found, {}) == []
