@@ -201,7 +201,7 @@ class Result:
             f"{p_equation(c.p_value)}, {c.law or 'no formula does as well'}"
             for c in o.curves
         ]
-        says = [f"{f.input}: {f.says}" for f in o.inputs[1:]]
+        says = [f.says for f in o.inputs[1:]]
         parts = [
             [title],
             [f"verdict: {o.verdict}", o.sentence, *used],

@@ -265,6 +265,6 @@ def print_outcome(outcome: Outcome) -> None:
             f"{c.name}: {100 * c.share:.0f} % of the excess, "
             f"{c.law or 'no formula does as well as the curve'}; in my_effects.py"
         )
-    says = (f"{f.input}: {f.says}" for f in outcome.inputs[1:])
+    says = (f.says for f in outcome.inputs[1:])
     for line in (*says, *outcome.limits, *outcome.notes):
         console.print(f"- {line}")

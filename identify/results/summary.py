@@ -51,6 +51,7 @@ from hydrojax.rigfile.schema import SUPPLY
 
 if TYPE_CHECKING:
     from hydrojax.identify.case import Case
+    from hydrojax.identify.tracing.criteria import Criteria
 
 UNITS = ("Pa", "Pa", "N")
 
@@ -90,7 +91,8 @@ def summarise(
         + with_ends(
             verdict_sentence(command, verdict, effects, left, case.held_out, needed),
             _at_ends(state, uncertainty),
-        ),
+        )
+        + _slow_noise(case, channels, left, state.criteria),
         parameters=parameters_of(case, state, uncertainty, tuple(tolerated)),
         channels=channels,
         effects=effects,
@@ -181,6 +183,32 @@ def _places(case: Case, ticks: int) -> list[tuple[str, float, float]]:
         (names[i], float(own[0]), float(own[-1]))
         for i, own in zip(case.check.log, t, strict=True)
     ]
+
+
+def _slow_noise(
+    case: Case,
+    channels: Mapping[str, ChannelErrors],
+    left: tuple[Unexplained, ...],
+    criteria: Criteria,
+) -> str:
+    """That a sensor's own noise may be what is left, where nothing states how large it
+    is and nothing else shows in it; empty elsewhere.
+    """
+    may_be = left and all(
+        u.follows == "none"
+        and not u.where
+        and u.channel not in case.spec.sensors
+        and channels[u.channel].after <= criteria.slow_noise * channels[u.channel].noise
+        for u in left
+    )
+    if not may_be:
+        return ""
+    names = " and ".join(u.channel for u in left)
+    return (
+        f" The noise of {names} was estimated by what changes from row to row; that of "
+        "a sensor behind a low-pass filter is larger: if there is one, state its noise "
+        "under [sensors]."
+    )
 
 
 def _in_few_windows(
@@ -285,8 +313,18 @@ def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
     return tuple(n for n in state.free if n in uncertainty.ends and n not in meant)
 
 
+CREDIBLE = 2.0
+"""Times the declared model's error of the force up to which a balance that blames a
+factor may leave one: that of friction is crude, and has none where it leaves more."""
+
+
 def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
-    """The outcome with what looks wrong with the inputs, which is said first."""
+    """The outcome with what looks wrong with the inputs, which is said first.
+
+    Nothing is said of a factor by a balance of force that closes less well with it
+    than the declared model's runs do without (`CREDIBLE`).
+    """
+    found = tuple(f for f in found if f.mended or _credible(f, outcome))
     if not found:
         return outcome
     if mended := [f for f in found if f.mended]:
@@ -303,3 +341,12 @@ def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
                 f" {same[0]} is the same error under another name, not a second one."
             )
     return replace(outcome, inputs=found, sentence=f"{lead} {outcome.sentence}")
+
+
+def _credible(found: Finding, outcome: Outcome) -> bool:
+    """Whether the runs of the declared model do not speak against a finding."""
+    left, force = found.error_if_mended, outcome.channels.get("F")
+    if found.finding != "factor" or found.unit != "N" or left is None or force is None:
+        return True
+    declared = force.before if outcome.command == "trace" else force.after
+    return left <= CREDIBLE * declared

@@ -291,6 +291,11 @@ class Criteria:
     few_windows: float = 0.02
     """Share of the windows in which over half of an excess lies, from which down they
     are said, 1: a fiftieth of noise alone never holds as much. Tests."""
+    slow_noise: float = 2.5
+    """Times a noise that was estimated from row to row up to which what is left, and
+    goes with nothing, may be noise of a sensor behind a low-pass filter, 1: white noise
+    behind one of 40 Hz, logged at 500 Hz, is 1.9 times what its differences show. A
+    test on such noise."""
     needed: float = 0.1
     """Share of the fall of the validation error that a parameter's change must give
     back for the verdict to wait on that parameter, 1. `benchmarks.trace`."""

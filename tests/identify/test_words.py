@@ -17,8 +17,13 @@ from hydrojax.identify.results.limits import (
     _same_as_inputs,
     said_tolerated,
 )
-from hydrojax.identify.results.outcome import ChannelErrors, FoundEffect, Parameter
-from hydrojax.identify.results.summary import with_inputs
+from hydrojax.identify.results.outcome import (
+    ChannelErrors,
+    FoundEffect,
+    Parameter,
+    Unexplained,
+)
+from hydrojax.identify.results.summary import _slow_noise, with_inputs
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Score
 from hydrojax.parameters import Spec
@@ -70,6 +75,37 @@ def test_a_factor_and_the_effect_that_does_the_same_are_one_error():
     both, other = (with_inputs(found, (one,)).sentence for one in (area, supply))
     assert "not a second one" not in alone + other
     assert "loadcell_gain is the same error under another name" in both
+
+
+def test_no_factor_is_blamed_that_a_balance_closes_less_well_with_than_the_runs():
+    found = explained()  # its F is off by 31 N before
+    says = "area is 11 % too large"
+    crude, near = (
+        Finding("area", "factor", 0.9, 1e3, left, "N", says) for left in (404.0, 40.0)
+    )
+    assert with_inputs(found, (crude,)) == found
+    assert with_inputs(found, (crude, near)).inputs == (near,)
+    sign = Finding("F", "sign", -1.0, 1e3, 404.0, "N", "F is turned round", mended=True)
+    assert with_inputs(found, (sign,)).inputs == (sign,)
+
+
+@pytest.mark.parametrize(
+    ("follows", "sensors", "after", "said"),
+    [
+        ("none", {}, 1.9, True),
+        ("v", {}, 1.9, False),
+        ("none", {"F": 1.0}, 1.9, False),
+        ("none", {}, 3.0, False),
+    ],
+    ids=["nothing shows", "it goes with v", "stated", "too much"],
+)
+def test_slow_noise_of_a_sensor_is_offered(follows, sensors, after, said):
+    case = SimpleNamespace(spec=SimpleNamespace(sensors=sensors))
+    channels = {"F": ChannelErrors("N", 1.0, after, after)}
+    left = (Unexplained("F", 1.6, "N", follows, "F stays 1.6 N"),)
+    text = _slow_noise(case, channels, left, Criteria())
+    assert ("state its noise under [sensors]" in text) == said == bool(text)
+    assert _slow_noise(case, channels, (), Criteria()) == ""
 
 
 @pytest.mark.parametrize(
