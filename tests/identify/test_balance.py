@@ -161,9 +161,10 @@ def test_a_fit_begins_far_nearer_than_the_rig_file(machine):
 
 @pytest.mark.slow
 def test_halved_substeps_change_little(machine, monkeypatch):
-    """The replay at the balances' values, which no fit has come near yet: by under a
-    quarter of the sensors' 9 kPa in 97 windows of 100, and mostly by a hundredth; in
-    the rest the model is off by MPa there, or a chamber runs empty.
+    """The replay at the balances' values: in nine windows of ten by under a tenth of
+    the sensors' 9 kPa, and mostly by a hundredth. No fit has come near these values:
+    in the rest the model is off by MPa, or a chamber runs empty, and one of them would
+    decide a mean of the squares.
     """
     name, state = machine
     values = balanced(state.problem, state.point.values, state.free)
@@ -173,7 +174,7 @@ def test_halved_substeps_change_little(machine, monkeypatch):
     coarse, fine = (p.residuals_at(values)[..., :2] for p in (state.problem, fine))
     off = np.sqrt(np.mean((coarse - fine) ** 2, axis=(1, 2)))
     assert 0 < np.median(off) < 90.0
-    assert np.quantile(off, 0.97) < 9e3 / 4
+    assert np.quantile(off, 0.9) < 9e3 / 10
 
 
 @pytest.mark.slow
