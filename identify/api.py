@@ -178,7 +178,9 @@ def trace_case(
     with ThreadPoolExecutor(1) as pool:
         ready = _Ready.of(given, pool)
 
-        def traced(case: Case, found: Findings) -> tuple:
+        def traced(
+            case: Case, found: Findings
+        ) -> tuple[Case, Findings, FitPoint, Tracing]:
             own = ready if case is given else _Ready.of(case, pool)
             base = own.fitted(case, starts, progress)
             later = with_delay_replayed(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.factors import LATEST
@@ -25,9 +26,8 @@ STEP = 0.2
 MOVES = 4
 """How often it is moved on, at most."""
 
-LEFT = 0.5
-"""Share of what stands above the noise that a late position may leave when it is
-brought forward: on machines that lack other things it leaves over 0.9."""
+SAME = 0.1
+"""Moves within which the delay is what it was."""
 
 
 def with_delay_replayed(
@@ -56,9 +56,9 @@ def with_delay_replayed(
         return found
     progress(f"find the delay of {late.input} by replays")
     step = STEP * _tick(case)
-    error = _Error(case, problem, point, free, late.input)
+    error = _Error(case, problem, point, free, late.input, point.weights)
     moves = _lowest(lambda moves: error(moves * step))
-    if moves is None or abs(moves) < STEP / 4:
+    if moves is None or abs(moves) < SAME:
         return found
     new = with_delay(late, given, case.spec, moves * step)
     return tuple(new if f is late else f for f in found)
@@ -85,7 +85,7 @@ def with_late_position(
     known = any(f.finding == "delay" for f in found)
     if known or not np.any((rms > own.at_noise * noise)[seen]):
         return found
-    name = "x" if "x" in case.read_logs[0].signals else "psi"
+    name = case.read_logs[0].motion
     progress(f"see whether {name} is late")
     tick, weights = _tick(case), np.where(seen, noise, np.inf)
     error = _Error(case, problem, state.point, state.free, name, weights)
@@ -96,7 +96,7 @@ def with_late_position(
             break
         best, late = later, ticks
     floor = np.sum(seen)
-    if not late or best - floor > LEFT * (given - floor):
+    if not late or best - floor > own.late_leaves * (given - floor):
         return found
     around = (late / 2 * tick, min(2 * late * tick, LATEST))
     return (*found, late_position(case.spec, name, least(error, around, tick / 2)[0]))
@@ -106,30 +106,25 @@ def _tick(case: Case) -> float:
     return float(np.median(np.diff(case.read_logs[0].time)))
 
 
+@dataclass(frozen=True)
 class _Error:
-    """The squared errors, over their weights, of a fit with a signal brought forward by
-    so many seconds more.
+    """The squared errors, over `weights`, of a fit with a signal brought forward by so
+    many seconds more.
     """
 
-    def __init__(
-        self,
-        case: Case,
-        problem: Problem,
-        point: FitPoint,
-        free: Sequence[str],
-        name: str,
-        weights: np.ndarray | None = None,
-    ):
-        self.case, self.problem, self.point = case, problem, point
-        self.free, self.name = tuple(free), name
-        self.weights = point.weights if weights is None else weights
+    case: Case
+    problem: Problem
+    point: FitPoint
+    free: Sequence[str]
+    name: str
+    weights: Float[np.ndarray, "3"]
 
     def __call__(self, seconds: float) -> float:
         logs = [_later(log, self.name, seconds) for log in self.case.read_logs]
         data = self.case.preparation.data(logs)
         moved = replace(self.problem, batch=batch_of(data))
         point = self.point
-        moved, at = fit_jointly(moved, point.values, self.free, point.weights)
+        moved, at = fit_jointly(moved, point.values, tuple(self.free), point.weights)
         seen = np.isfinite(self.weights)
         left = moved.rms(moved.errors_at(at.values)) / self.weights
         return float(np.sum(left[seen] ** 2))

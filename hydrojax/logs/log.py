@@ -126,6 +126,11 @@ class Log:
         """
         return _log_of(table_of(frame, units or {}, name), channels or {}, shortest)
 
+    @property
+    def motion(self) -> str:
+        """The signal that the position is taken from: `x`, or else `psi`."""
+        return "x" if "x" in self.signals else "psi"
+
     def to_frame(self) -> pd.DataFrame:
         """The signals as columns beside `time`, SI; units in `attrs["units"]`."""
         frame = pd.DataFrame({"time": self.time, **self.signals})

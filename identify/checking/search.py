@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import constants
 
 from hydrojax.identify.checking.balances import (
     EDGES,
@@ -42,8 +43,8 @@ SLIP = 3.0
 """Ratio of force and push from which another unit is tried; units differ by 9.8 on."""
 FARTHEST = 4.0
 """Decades beyond which it does not matter by how many a value is odd."""
-PSI, INCH, POUND = 6894.757, 25.4, 4.448222
-"""Of psi in Pa, of an inch in mm, of a pound's weight in N."""
+PSI, INCH, POUND = constants.psi, 1e3 * constants.inch, constants.lbf
+"""A psi in Pa, an inch in mm, a pound-force in N."""
 VACUUM = -1.5e5
 """Pa: a gauge that reads less, by more than its offset, is turned round."""
 

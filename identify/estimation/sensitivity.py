@@ -116,8 +116,7 @@ def recall_along(
         move = (jnp.arange(first[i], first[i + 1]) == which) + 0.0
         return jax.jvp(memory, (get(here, groups[i]),), (move,))[1]
 
-    # A branch for all parameters of an effect: one for each takes twice as long to
-    # compile, and runs as fast.
+    # A branch for all parameters of an effect: one for each takes longer to compile.
     each = [partial(along, i) for i in range(len(groups))]
     group = np.repeat(np.arange(len(groups)), np.diff(first))
     if isinstance(which, int):

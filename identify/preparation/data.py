@@ -194,9 +194,8 @@ def _spread_windows(
         InputError: no stretch is long enough for a window.
     """
     T, pre, _, lead, _ = size
-    moves = "x" if "x" in logs[0].signals else "psi"
     starts = [
-        starts_in(logs[i].time[r], logs[i].signals[moves][r], T, pre, lead)
+        starts_in(logs[i].time[r], logs[i].signals[logs[i].motion][r], T, pre, lead)
         for i, r in rows
     ]
     count, most = sum(map(len, starts)), max(criteria.most_ticks // (lead + T), 1)

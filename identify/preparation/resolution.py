@@ -369,7 +369,7 @@ def _mean_of_most(square: np.ndarray, shaken: np.ndarray) -> np.ndarray:
 
 def _moved(log: Log, spec: RigFile, change: Change, criteria: Criteria) -> Log:
     """The log with its position changed, m."""
-    key = "x" if "x" in log.signals else "psi"
+    key = log.motion
     zero = spec.geometry.get("x_mid", 0.0) if key == "x" else 0.0
     radius = 1.0 if key == "x" else spec.geometry["radius"]
     x = _changed(log, position(log, spec), change, criteria)

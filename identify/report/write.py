@@ -56,11 +56,7 @@ TELLING = (
 
 def change(p: Parameter) -> str:
     """How far a parameter moved from its start, in per cent of that."""
-    if (
-        not p.start
-        or not math.isfinite(p.start)
-        or not math.isfinite(p.value / p.start)
-    ):
+    if not 0 < abs(p.start) < math.inf or not math.isfinite(p.value / p.start):
         return "–"
     percent = 100 * (p.value - p.start) / abs(p.start)
     if abs(percent) >= 1000:

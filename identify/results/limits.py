@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from hydrojax.effects import EFFECTS
@@ -135,7 +134,7 @@ def _not_quite(
     state: Tracing,
     channels: Mapping[str, ChannelErrors],
     verdict: str,
-    where: Mapping[str, str] = MappingProxyType({}),
+    where: Mapping[str, str],
 ) -> list[str]:
     """Channels that count as at their noise and are above it, with what shows there."""
     own = state.criteria

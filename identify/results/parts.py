@@ -112,17 +112,16 @@ def aliases(effect: str, spec: RigFile) -> tuple[str, ...]:
 
 
 def within_tolerance(effect: FoundEffect, spec: RigFile) -> tuple[str, ...]:
-    """The areas in whose stated tolerances, at two standard deviations, an effect that
-    is the same as a wrong area lies.
+    """The areas in whose stated tolerances, at two standard deviations, an effect lies
+    that is the same as all of them being off; none where it is beyond that of one.
     """
     if effect.name != "loadcell_gain":
         return ()
-    size = abs(effect.parameters["eps"].value)
-    return tuple(
-        n
-        for n in aliases(effect.name, spec)
-        if size <= 2 * spec.tolerances.get(n, 0.0) / spec.geometry[n]
+    areas, size = aliases(effect.name, spec), abs(effect.parameters["eps"].value)
+    within = all(
+        size <= 2 * spec.tolerances.get(n, 0.0) / spec.geometry[n] for n in areas
     )
+    return areas if within else ()
 
 
 def named_effects(

@@ -313,16 +313,11 @@ def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
     return tuple(n for n in state.free if n in uncertainty.ends and n not in meant)
 
 
-CREDIBLE = 2.0
-"""Times the declared model's error of the force up to which a balance that blames a
-factor may leave one: that of friction is crude, and has none where it leaves more."""
-
-
 def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
     """The outcome with what looks wrong with the inputs, which is said first.
 
     Nothing is said of a factor by a balance of force that closes less well with it
-    than the declared model's runs do without (`CREDIBLE`).
+    than the declared model's runs do without (`Criteria.credible`).
     """
     found = tuple(f for f in found if f.mended or _credible(f, outcome))
     if not found:
@@ -349,4 +344,4 @@ def _credible(found: Finding, outcome: Outcome) -> bool:
     if found.finding != "factor" or found.unit != "N" or left is None or force is None:
         return True
     declared = force.before if outcome.command == "trace" else force.after
-    return left <= CREDIBLE * declared
+    return left <= outcome.criteria.credible * declared

@@ -293,9 +293,16 @@ class Criteria:
     are said, 1: a fiftieth of noise alone never holds as much. Tests."""
     slow_noise: float = 2.5
     """Times a noise that was estimated from row to row up to which what is left, and
-    goes with nothing, may be noise of a sensor behind a low-pass filter, 1: white noise
-    behind one of 40 Hz, logged at 500 Hz, is 1.9 times what its differences show. A
-    test on such noise."""
+    goes with nothing, is said to be perhaps noise of a sensor behind a low-pass filter,
+    1. A choice, not a study: the words decide nothing."""
+    late_leaves: float = 0.5
+    """Share of what stands above the noise that bringing a position forward may leave
+    for it to be called late, 1. `tests/identify/test_late.py`, on machines that lack
+    other things."""
+    credible: float = 2.0
+    """Times the declared model's error of the force up to which a balance of force may
+    leave one with an input mended for that input to be blamed, 1. A choice: a balance
+    that leaves more knows less of the friction than the model."""
     needed: float = 0.1
     """Share of the fall of the validation error that a parameter's change must give
     back for the verdict to wait on that parameter, 1. `benchmarks.trace`."""

@@ -113,14 +113,22 @@ def test_the_stretch_is_where_the_error_is():
     assert t[part][-1] - t[part][0] <= SECONDS
 
 
-@pytest.mark.parametrize(("eps", "within"), [(0.015, True), (-0.025, False)])
-def test_a_gain_lies_within_the_areas_tolerance_or_not(eps, within):
-    """Of an area known to 1 %, standard deviation; that of chamber 2 is exact."""
+@pytest.mark.parametrize(
+    ("eps", "second", "within"),
+    [
+        (0.015, "3e-3 m^2 +- 0.8 %", ("area_1", "area_2")),
+        (-0.025, "3e-3 m^2 +- 2 %", ()),
+        (0.015, "3e-3 m^2", ()),
+    ],
+    ids=["within both", "beyond the first", "the second is exact"],
+)
+def test_a_gain_lies_within_the_areas_tolerances_or_not(eps, second, within):
+    """It is the same as both areas off, the first of which is known to 1 %."""
     rig = hj.RigFile.from_text(
         'name = "a press"\nlayout = "differential"\n[geometry]\n'
-        'area_1 = "5e-3 m^2 +- 1 %"\narea_2 = "3e-3 m^2"\nchamber_length = "0.5 m"\n'
+        f'area_1 = "5e-3 m^2 +- 1 %"\narea_2 = "{second}"\nchamber_length = "0.5 m"\n'
         '[supply]\nP_s = "14 MPa"\n[parameters]\nbeta = "8e8 Pa"\n'
     )
     gain = Parameter(eps, "1", "gain error", 0.0, True)
     effect = FoundEffect("loadcell_gain", {"eps": gain}, 1e-9, {}, {}, (), "F", 1.0)
-    assert within_tolerance(effect, rig) == (("area_1",) if within else ())
+    assert within_tolerance(effect, rig) == within

@@ -151,15 +151,15 @@ def test_a_channel_a_little_above_its_noise_is_said_to_be():
         "P_a1": ChannelErrors("Pa", 9e3, 9e3, 9.1e3),
         "F": ChannelErrors("N", 2.5, 2.7, 2.7),
     }
-    (said,) = _not_quite(state, channels, "nothing missing")
+    (said,) = _not_quite(state, channels, "nothing missing", {})
     assert said.startswith("F is at 1.08 times its noise, which counts as at it")
     assert "stribeck shows" in said and "backlash" not in said
     assert "payload_inertia" not in said  # it was not tried
     where = {"F": "; 80 % of what is above lies in 2 of 60 windows"}
     (said,) = _not_quite(state, channels, "nothing missing", where)
     assert "counts as at it; 80 % of what is above lies in 2 of 60" in said
-    assert _not_quite(state, channels, "unknown") == []
-    assert _not_quite(state, {"P_a1": channels["P_a1"]}, "explained") == []
+    assert _not_quite(state, channels, "unknown", {}) == []
+    assert _not_quite(state, {"P_a1": channels["P_a1"]}, "explained", {}) == []
 
 
 def test_what_a_tolerance_accounts_for_is_said_and_not_called_missing():
