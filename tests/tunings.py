@@ -91,6 +91,7 @@ def tuned() -> Tuned:
         aim=Following(),
         tolerance=TOLERANCE,
         amplitude=100.0,
+        speed=0.03,
         edges=("k_f",),
         comparison=(
             (

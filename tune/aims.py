@@ -203,8 +203,9 @@ class Limits:
         peak_dB: largest |F/F_d|, joint at rest, dB.
         sensitivity_dB: largest |1 / (1 + L)| of the loop opened at the command, at
             rest: 6 dB ensure a gain margin of 6 dB and a phase margin of 29 degrees.
-        moving_dB: the same at 3 cm/s either way, where no presliding lowers the gain,
-            adaptation live; where the gains before are sound but have less, theirs.
+        moving_dB: the same at the peak speed of the runs either way, where no
+            presliding lowers the gain, adaptation live; where the gains before are
+            sound but have less, theirs.
         noise: RMS of the command by sensor noise, share of u_max.
         push: command at the setting's amplitude where F follows, share of u_max.
         tracking: RMS of F_d - F in the moving run, relative to before, plant by plant;

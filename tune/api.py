@@ -226,7 +226,8 @@ def plan_tuning(
     those = make_plants(setting, plants, spread, drawn_from) or ensemble(setting, 1)
     given = {*file.effects, *file.parameters, *_named(at or {})}
     given |= {*found.effects, *found.absent, *found.parameters} if found else set()
-    those = with_unsaid(setting, those, given)
+    fitted = found.shown if found else ()
+    those = with_unsaid(setting, those, given, fitted=fitted)
     progress("compile the loop")
     objective = Objective(setting, chosen, those, limits or Limits(), aim)
     return ToTune(file, objective, those, found, given)
@@ -270,6 +271,7 @@ def _tuned(tuning: ToTune, starts: int, progress: Callable[[str], None]) -> Tune
         objective.aim,
         tolerance_of(objective),
         float(objective.setting.amplitude),
+        objective.trials.speed,
         edges(objective, gains),
         comparison,
         notes(objective, after, most),

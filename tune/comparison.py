@@ -15,6 +15,7 @@ from hydrojax.plant.load import Inertia
 from hydrojax.tune.findings import Findings
 from hydrojax.tune.metrics import rig_metrics
 from hydrojax.tune.objective import Objective
+from hydrojax.tune.trials import SPEED, top_speed
 from hydrojax.tune.tuning import Tuning
 
 if TYPE_CHECKING:
@@ -63,10 +64,24 @@ def compare_models(
 def notes(objective: Objective, after: Metrics, most: float) -> tuple[str, ...]:
     """Remarks that a reader of the tuning needs."""
     return (
+        *_slow(objective),
         *_instability(objective),
         *_resonance(objective, after),
         *_rest(objective, after, most),
     )
+
+
+def _slow(objective: Objective) -> list[str]:
+    setting, speed = objective.setting, objective.trials.speed
+    if speed >= SPEED:
+        return []
+    top = float(top_speed(setting))
+    length = float(setting.loop.rig.chambers.length)
+    return [
+        f"The runs with the joint moving go at up to {1e3 * speed:.3g} mm/s, not at "
+        f"the usual {1e3 * SPEED:g}: wide open, the valve holds the piston's friction "
+        f"up to {1e3 * top:.3g} mm/s, and the chambers are {1e3 * length:.3g} mm long."
+    ]
 
 
 def _instability(objective: Objective) -> list[str]:

@@ -11,7 +11,9 @@ from hydrojax.report import markup
 from hydrojax.report.text import in_picture
 from hydrojax.tune.optimize import TIGHT
 from hydrojax.tune.tuning import Tuning
-from hydrojax.tune.verification import PEAK_SLACK
+
+PLAYS = ("valve_hysteresis", "backlash")
+"""Effects that hold back a small signal whole, so that a loop is open at rest."""
 
 _BEFORE, _AFTER = "#b2382e", "#1f4e9c"
 
@@ -74,21 +76,22 @@ def sentence(t: Tuning) -> str:
         return (
             f"No gains are proposed: of {len(t.proposal.tried)} tried, none holds in "
             f"the runs on all {count} plants. In the way of the best: "
-            f"{'; '.join(t.obstacles)}."
+            f"{'; '.join(t.obstacles)}.{_also_before(t)}"
         )
     small, size = t.amplitudes
     said = (
-        f"At {small:.3g} and {size:.3g} N, F follows F_d (|1 − F/F_d| at most "
-        f"{t.tolerance:g}) up to {now.follows_to.min():.1f} Hz on the worst of {count} "
-        f"plants, {was.follows_to.min():.1f} before: within 1 dB up to "
-        f"{now.within_1dB.min():.1f} Hz ({was.within_1dB.min():.1f}), lag of 90° at "
-        f"{now.lag_90.min():.1f} Hz ({was.lag_90.min():.1f}), peak "
-        f"{now.peak.max():.1f} dB ({was.peak.max():.1f}). With the joint moving it "
-        f"tracks to {now.rms_moving[0]:.3g} N RMS on the rig itself "
-        f"({was.rms_moving[0]:.3g} before) and {now.rms_moving.max():.3g} N on the "
-        f"worst plant ({was.rms_moving.max():.3g})."
+        f"At amplitudes of {small:.3g} and {size:.3g} N, F follows F_d "
+        f"(|1 − F/F_d| at most {t.tolerance:g}) up to {now.follows_to.min():.1f} Hz "
+        f"on the worst of {count} plants, {was.follows_to.min():.1f} before: within "
+        f"1 dB up to {now.within_1dB.min():.1f} Hz ({was.within_1dB.min():.1f}), lag "
+        f"of 90° at {now.lag_90.min():.1f} Hz ({was.lag_90.min():.1f}), peak "
+        f"{now.peak.max():.1f} dB ({was.peak.max():.1f}). With the joint moving at up "
+        f"to {1e3 * t.speed:.3g} mm/s it tracks to {now.rms_moving[0]:.3g} N RMS on "
+        f"the rig itself ({was.rms_moving[0]:.3g} before) and "
+        f"{now.rms_moving.max():.3g} N on the worst plant "
+        f"({was.rms_moving.max():.3g})."
     )
-    if now.peak.max() > t.limits.peak_dB + PEAK_SLACK:
+    if now.peak.max() >= t.limits.peak_dB + 0.05:
         said += f" The limit of {t.limits.peak_dB:g} dB on the peak is not kept."
     if not was.sound:
         said += f" Before, {_oscillating(t)} of {count} plants oscillate."
@@ -112,6 +115,17 @@ def headline(t: Tuning) -> str:
         f"F follows F_d up to {now.follows_to.min():.1f} Hz on the worst of {count} "
         f"plants; {before}"
     )
+
+
+def _also_before(t: Tuning) -> str:
+    """Of a refusal: that the present gains oscillate, too, and in what play."""
+    if t.proposal.before.sound:
+        return ""
+    count = t.proposal.before.follows_to.size
+    play = [name for name in PLAYS if name in t.file.effects]
+    why = f": small commands are lost in {' and '.join(play)}" if play else ""
+    many = f"{_oscillating(t)} of {count} plants"
+    return f" The present gains oscillate, too, on {many}{why}."
 
 
 def _oscillating(t: Tuning) -> int:
@@ -150,6 +164,11 @@ def _columns(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 def limit(t: Tuning) -> str:
     """What limits the loop most, in words."""
+    if t.obstacles and any(name in t.file.effects for name in PLAYS):
+        return (
+            "Which limit holds the loop back cannot be said: at rest it is open, its "
+            "command lost in a play."
+        )
     gains = [r for r in t.relaxed if r.gain > 0.03]
     if not t.relaxed:
         return "No limit was examined."
@@ -221,7 +240,7 @@ def front_figure(t: Tuning) -> Figure:
     """The aim against tracking, peak and noise of all gains that were run."""
     fig = Figure(figsize=(9.6, 3.7), layout="constrained")
     tried = t.proposal.tried
-    reached = np.abs([j.aim for j in tried])
+    reached = np.abs([t.aim.measured(j.tried.figures(None)) for j in tried])
     holds = np.array([not j.faults for j in tried])
     panels = (
         ("rms_moving", "error, joint moving (N RMS)", "log"),
@@ -229,6 +248,9 @@ def front_figure(t: Tuning) -> Figure:
         ("noise", "force by the sensors' noise (N RMS)", "log"),
     )
     now, was = t.proposal.after, t.proposal.before
+    marks = [(was, "s", _BEFORE, "before")]
+    if not t.obstacles:
+        marks.append((now, "o", _AFTER, "chosen"))
     for ax, (name, says, scale) in zip(fig.subplots(1, 3), panels, strict=True):
         worst = np.array([getattr(j.tried, name).max() for j in tried])
         for which, colour, label in (
@@ -236,12 +258,12 @@ def front_figure(t: Tuning) -> Figure:
             (holds, _AFTER, "holds on all plants"),
         ):
             ax.plot(reached[which], worst[which], ".", color=colour, ms=5, label=label)
-        for one, mark, colour, label in (
-            (was, "s", _BEFORE, "before"),
-            (now, "o", _AFTER, "chosen"),
-        ):
+        for one, mark, colour, label in marks:
             at = abs(t.aim.measured(one.figures(None))), getattr(one, name).max()
             ax.plot(*at, mark, color=colour, mec="black", ms=8, label=label)
+        # No noise comes through a loop that a play leaves open.
+        if scale == "log" and not np.any(worst > 0):
+            scale = "linear"
         ax.set_yscale(scale)
         ax.yaxis.set_major_formatter("{x:g}")
         ax.yaxis.set_minor_formatter("{x:g}" if scale == "log" else "")
@@ -250,7 +272,7 @@ def front_figure(t: Tuning) -> Figure:
         span = np.ptp(good) + 6.0
         ends = (good.min() / 2, 4 * good.max()) if scale == "log" else (
             min(good.min() - 1.0, 0.0), good.max() + span)  # fmt: skip
-        if np.all(np.isfinite(ends)):
+        if np.all(np.isfinite(ends)) and (scale == "linear" or ends[0] > 0):
             ax.set_ylim(*ends)
         ax.set_ylabel(says, fontsize=9)
         ax.set_xlabel(t.aim.reached, fontsize=9)

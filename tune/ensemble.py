@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from hydrojax.errors import InputError
 from hydrojax.parameters import get, parameter_specs, specs
+from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune.findings import Findings
 
@@ -111,7 +112,11 @@ def from_findings(
 
 
 def with_unsaid(
-    setting: Setting, plants: Plants, given: Collection[str], seed: int = 0
+    setting: Setting,
+    plants: Plants,
+    given: Collection[str],
+    seed: int = 0,
+    fitted: Collection[str] = (),
 ) -> Plants:
     """The plants with what a rig file may leave unsaid: spool, delay, presliding.
 
@@ -121,6 +126,9 @@ def with_unsaid(
         given: names of effects and parameters that are known, absent ones too: these
             keep their values.
         seed: of the draw.
+        fitted: names of those that logs gave. Of a spool and a delay logs may show the
+            sum alone: what is assumed of the one is taken off the other that was
+            fitted, as much as it has.
     """
     rng, rig = np.random.default_rng([seed, 23]), setting.loop.rig
     count, said = len(plants.values), []
@@ -140,6 +148,7 @@ def with_unsaid(
         samples[0] = DELAY
         values["valve_delay.tau_u"] = samples * float(setting.loop.h)
         said.append(f"{DELAY_RANGE[0]:g} to {DELAY_RANGE[1]:g} samples of delay")
+    said += _taken_off(rig, values, set(given), set(fitted))
     if not {"k_fp", "k_fn"} & set(given) and {"k_fp", "k_fn"} <= set(known):
         both = rng.uniform(*PRESLIDING, (2, count))
         both[:, 0] = np.asarray(get(rig, ("k_fp", "k_fn")))
@@ -149,6 +158,27 @@ def with_unsaid(
     if said:
         text += f"; not in the rig file and assumed: {', '.join(said)}"
     return Plants(tuple(values), np.stack(list(values.values()), axis=1), text)
+
+
+def _taken_off(
+    rig: Rig, values: dict[str, np.ndarray], given: set[str], fitted: set[str]
+) -> list[str]:
+    """Take what a spool is late by at low frequencies off a fitted delay, or a delay
+    off a fitted spool, where the other is assumed; in words that it was done.
+    """
+    spool, delay = values.get("valve_lag.tau"), values.get("valve_delay.tau_u")
+    if spool is None or delay is None or len({"valve_lag", "valve_delay"} & given) != 1:
+        return []
+    slope = 2 * float(get(rig, ("valve_lag.zeta",))[0])
+    if "valve_delay" in fitted & given:
+        values["valve_lag.tau"] = np.minimum(spool, delay / slope)
+        values["valve_delay.tau_u"] = delay - slope * values["valve_lag.tau"]
+        return ["taken off the delay found"]
+    if "valve_lag" in fitted & given:
+        values["valve_delay.tau_u"] = np.minimum(delay, slope * spool)
+        values["valve_lag.tau"] = spool - values["valve_delay.tau_u"] / slope
+        return ["taken off the spool found"]
+    return []
 
 
 def _root(findings: Findings, free: list[str]) -> tuple[Float[np.ndarray, "n n"], str]:

@@ -62,6 +62,12 @@ class Findings:
         )
 
     @property
+    def shown(self) -> frozenset[str]:
+        """Names of the effects of which a parameter has a standard deviation."""
+        parts = (n.partition(".") for n, p in self.parameters.items() if p.std)
+        return frozenset(name for name, dot, _ in parts if dot)
+
+    @property
     def fitted(self) -> bool:
         """Whether any parameter has a standard deviation."""
         return any(p.std for p in self.parameters.values())

@@ -27,12 +27,12 @@ from hydrojax.tune.trials import make_trials
 LOW_HZ = 2.0
 """Where the loop must reject what disturbs it as well as before."""
 
-SPEEDS = (0.03, -0.03)
-"""Speeds at which a descent linearises the loop beside rest, m/s: the trials' peak,
-where no presliding lowers the loop's gain any more."""
+SPEEDS = (1.0, -1.0)
+"""Speeds at which a descent linearises the loop beside rest, in the trials' peak:
+there no presliding lowers the loop's gain any more."""
 
-ALL_SPEEDS = (0.03, 0.01, 0.003, -0.003, -0.01, -0.03)
-"""Speeds at which a proposal has to be stable, beside rest, m/s."""
+ALL_SPEEDS = (1.0, 1 / 3, 0.1, -0.1, -1 / 3, -1.0)
+"""Speeds at which a proposal has to be stable, beside rest, in the trials' peak."""
 
 UNSOUND = 2.0
 """How much worse than before the others may track where a plant was unstable."""
@@ -149,14 +149,16 @@ class Objective:
     def rows(
         self, gains: Float[np.ndarray, "gains"] | None, speeds: tuple[float, ...]
     ) -> Rows:
-        """All plants with these gains (None: the setting's), speed by speed."""
+        """All plants with these gains (None: the setting's), speed by speed, in the
+        trials' peak.
+        """
         g = self.initial() if gains is None else np.asarray(gains)
         m, count = len(self.values), len(speeds) * len(self.values)
         rest = float(self.setting.v)
         return Rows(
             np.broadcast_to(g, (count, g.size)),
             np.tile(self.values, (len(speeds), 1)),
-            np.repeat(np.array([v or rest for v in speeds]), m),
+            np.repeat(np.array([v * self.trials.speed or rest for v in speeds]), m),
         )
 
     def evaluate(

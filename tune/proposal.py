@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrojax.control.base import RATES
-from hydrojax.tune.aims import TOLERANCE, Following
+from hydrojax.tune.aims import TOLERANCE, Following, Magnitude
 from hydrojax.tune.objective import Objective
 from hydrojax.tune.optimize import Optimum
 from hydrojax.tune.search import Judged, search
+from hydrojax.tune.trials import MOVING
 from hydrojax.tune.verification import (
     DECIBELS,
     PEAK_SLACK,
@@ -35,6 +36,12 @@ with other noise, there is more of it."""
 NEAR_FIRST = 1.1
 """How much larger the errors of what is searched may be than those of the descents'
 gains: a band may grow at the price of all that lies in it."""
+
+NEARER = 0.9
+"""Where there is no band, before and after, the share of the error that may be left."""
+
+BANDS = (Following, Magnitude)
+"""Aims that are bands, and 0 where there is none."""
 
 NARROWER = 0.98
 """Least share of what is aimed at before that a proposal must reach."""
@@ -95,8 +102,10 @@ def propose(
 
     What the descents found is tried first, and then searched on from in the runs
     themselves: for more of what is aimed at, but with errors that stay near those of
-    the descents' best that holds. Gains that keep the limit on the peak at both
-    amplitudes come before those whose peak is only no higher than before.
+    the descents' best that holds. The present gains are among those searched on from:
+    they may keep all limits where no end of a descent does. Gains that keep the limit
+    on the peak at both amplitudes come before those whose peak is only no higher than
+    before.
 
     Args:
         objective: plants, trials and aim.
@@ -116,8 +125,12 @@ def propose(
     begin = judge(these)
     good = [j for j in begin if not j.faults]
     first = max(good, key=lambda j: j.rank).tried if good else None
-    begin = [judged(objective, j.tried, before, first) for j in begin]
+    begin = [
+        judged(objective, t, before, first) for t in (*(j.tried for j in begin), before)
+    ]
     found = search(objective, begin, lambda these: judge(these, first), progress)
+    # The present gains are no proposal.
+    found = [j for j in found if j.tried is not before]
     good = [j for j in found if not j.faults]
     best = max(good or found, key=lambda j: j.rank)
     after = best.tried if good else before
@@ -146,14 +159,27 @@ def judged(
 
 
 def _reached(objective: Objective, tried: Tried) -> float:
-    return objective.aim.measured(tried.figures(None))
+    """What is aimed at; where none of it is reached, less than nothing by the error of
+    the moving joint, as a share of the desired force: of gains that all have no band
+    those that track better are nearer to one.
+    """
+    reached = objective.aim.measured(tried.figures(None))
+    if reached > 0 or not isinstance(objective.aim, BANDS):
+        return reached
+    return -float(np.max(tried.rms_moving)) / objective.trials.amplitude[MOVING]
 
 
 def _narrower(
     objective: Objective, now: float, before: Tried, was: float
 ) -> tuple[str, ...]:
-    """That less of what is aimed at is reached than before, if that was sound."""
+    """That less of what is aimed at is reached than before, if that was sound; or, of
+    a band that there is none of, no more.
+    """
     least = was - (1 - NARROWER) * abs(was)
-    if not before.sound or now >= least:
+    if was < 0 and isinstance(objective.aim, BANDS):
+        least = NEARER * was
+    elif not before.sound:
+        return ()
+    if now >= least:
         return ()
     return (f"no better than before in {objective.aim.description}",)

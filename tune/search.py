@@ -19,11 +19,12 @@ from hydrojax.tune.objective import Objective
 from hydrojax.tune.optimize import from_logs, mean_log, origin, reach
 from hydrojax.tune.verification import Tried
 
-WIDE = 36
-"""Gains that are tried first, spread evenly."""
+WIDE = 18
+"""Gains that are tried first in each of `SPREADS`, spread evenly."""
 
-DOWN, UP = 100.0, 1.5
-"""How far they lie below and above the present gains, at most."""
+SPREADS = ((100.0, 1.5), (3.0, 3.0))
+"""How far they lie below and above the present gains, at most: what is proposed may lie
+far below, where a fast loop is unstable, or near by on either side."""
 
 AROUND = 6
 """Gains that are tried in a round."""
@@ -92,8 +93,8 @@ def search(
 ) -> list[Judged]:
     """Gains around the best of those that were tried, round by round.
 
-    First gains that are spread evenly, down from the present ones: what is proposed may
-    lie far from where a descent ended. Then rounds of sequential linear programming: a
+    First gains that are spread evenly about the present ones and down from them: what
+    is proposed may lie far from where a descent ended. Then rounds of sequential linear programming: a
     model of all limits, fitted to what was tried near the best so far, says which gains
     keep them and reach most; some at random keep the model alive.
 
@@ -119,9 +120,10 @@ def search(
         found.extend(judge([from_logs(objective, here, y) for y in inside]))
 
     progress("search in runs")
-    even = qmc.LatinHypercube(low.size, rng=rng).random(WIDE)
-    far = np.maximum(low, -np.log(DOWN))
-    try_all(list(far + even * (np.log(UP) - far)))
+    for down, up in SPREADS:
+        even = qmc.LatinHypercube(low.size, rng=rng).random(WIDE)
+        least, most = np.maximum(low, -np.log(down)), np.minimum(high, np.log(up))
+        try_all(list(least + even * (most - least)))
     best, radius = _best(found), BEGIN
     for i in range(ROUNDS):
         progress(f"search in runs, round {i + 1} of at most {ROUNDS}")

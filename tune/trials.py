@@ -4,19 +4,28 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Int
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from hydrojax.control.loop import Scenario
 from hydrojax.control.simulation import hold, make_scenario
 from hydrojax.control.waveforms import random_sines, sinusoidal_path
+from hydrojax.parameters import get
+from hydrojax.plant.chambers import Point
+from hydrojax.programs.compiled import program
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import measure
 
 SPEED, PERIOD = 0.03, 3.0
-"""The joint's motion in the runs that move: peak m/s, s; the paper's."""
+"""The joint's motion in the runs that move: peak m/s, s; the paper's. Of a rig that
+cannot go so fast, less (`moving_speed`)."""
+
+FED, ROOM = 0.75, 0.25
+"""Shares of the speed at which the valve, wide open, holds no force any more, and of
+the chambers' length, that these runs go up to: beyond, no gain is of any help."""
 
 FORCE, FORCE_HZ = 300.0, 0.5
 """The desired force of the run in which tracking is judged: N, Hz; the paper's."""
@@ -62,6 +71,7 @@ class Trials(NamedTuple):
         amplitude: of the desired force, RMS, N.
         begin: first samples of the windows in which an oscillation is looked for.
         given: of the two that measure a response, what makes it of their signals.
+        speed: the joint's peak in those that move, m/s.
     """
 
     names: tuple[str, ...]
@@ -72,6 +82,7 @@ class Trials(NamedTuple):
     amplitude: Float[np.ndarray, "trials"]
     begin: tuple[Int[np.ndarray, "windows"], ...]
     given: measure.Excitation
+    speed: float
 
 
 RESPONSE, RESPONSE_SMALL, FORCE_LOCKED, MOVING, MOVING_SMALL = range(5)
@@ -88,7 +99,8 @@ def make_trials(setting: Setting) -> Trials:
     square = np.sign(np.sin(2 * np.pi * FORCE_HZ * t + 1e-9))
     steps = tuple(np.arange(0, SECONDS, 0.5 / FORCE_HZ))
     turns = tuple(np.arange(0, SECONDS, PERIOD / 2))
-    still, moves = hold(float(setting.x)), sinusoidal_path(SPEED, PERIOD)
+    speed = moving_speed(setting)
+    still, moves = hold(float(setting.x)), sinusoidal_path(speed, PERIOD)
     table = (
         ("locked", A / np.sqrt(2) * sines.shape, still, ()),
         ("locked, small", SMALL * A / np.sqrt(2) * sines.shape, still, ()),
@@ -112,7 +124,61 @@ def make_trials(setting: Setting) -> Trials:
         np.array([np.sqrt(np.mean(np.asarray(row[1]) ** 2)) for row in table]),
         tuple(_quiet(row[3], h, t.size) for row in table),
         sines,
+        speed,
     )
+
+
+def moving_speed(setting: Setting) -> float:
+    """The joint's peak speed in the runs that move, m/s: `SPEED`, or what valve and
+    chambers of the rig leave room for.
+    """
+    room = 2 * np.pi / PERIOD * ROOM * float(setting.loop.rig.chambers.length)
+    fed = FED * float(top_speed(setting)) or SPEED  # one that holds nothing shows so
+    return min(SPEED, room, fed)
+
+
+@program
+def top_speed(setting: Setting) -> Float[Array, ""]:
+    """The piston's speed up to which the valve, wide open, holds F_0 against Coulomb
+    friction, m/s; that of the slower direction.
+
+    The pressures are those at which they rest, found by bisection: that of a chamber
+    falls the faster the higher it is.
+    """
+    law, rig = setting.loop.law, setting.loop.rig
+    rig = eqx.tree_at(lambda r: r.line, rig, ())
+    speeds = SPEED * jnp.logspace(-3, 2, 251)
+
+    def pushes(u: Array, v: Array) -> Array:
+        """The drive force at rest of a piston that is moved at `v`."""
+        u, v = jnp.broadcast_arrays(u, v)
+        held = setting.loop.h * jnp.ones_like(u)
+        _, opening = rig.command_step(rig.command_init(u), u, held)
+        P_s, P_r, x = (
+            jnp.full_like(v, a) for a in (setting.P_s, setting.P_r, setting.x)
+        )
+
+        def halved(_: int, ends: tuple) -> tuple:
+            low, high = ends
+            P = (low + high) / 2
+            at = Point(P[0], P[1], P_s, P_r, opening, x, v)
+            rates = rig.pressure_rates(at)
+            rises = jnp.stack(rates) > 0
+            return jnp.where(rises, P, low), jnp.where(rises, high, P)
+
+        ends = jnp.zeros((2, *v.shape)), jnp.stack([P_s, P_s])
+        low, high = jax.lax.fori_loop(0, 40, halved, ends)
+        P_1, P_2 = (low + high) / 2
+        return rig.drive_force(P_1, P_2)
+
+    top = []
+    for way, friction in ((1.0, "k_cp"), (-1.0, "k_cn")):
+        (rubs,) = get(rig, (friction,))
+        needs = way * setting.F_0 + jnp.abs(rubs)
+        either = jnp.stack([way * pushes(s * law.u_max, way * speeds) for s in (1, -1)])
+        holds = jnp.max(either, axis=0) >= needs
+        top.append(jnp.max(jnp.where(holds, speeds, 0.0)))
+    return jnp.minimum(*top)
 
 
 def _quiet(

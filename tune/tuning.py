@@ -40,7 +40,9 @@ class Tuning:
         limits: what was to be kept.
         aim: what was made as large as it can be.
         tolerance: of |1 - F/F_d|.
-        amplitude: at which bands are promised, N; and at `SMALL` of it.
+        amplitude: at which bands are promised, that of a sine of the same RMS, N; and
+            at `SMALL` of it.
+        speed: the joint's peak in the runs that move, m/s.
         edges: gains at an end of their search range.
         comparison: of models and gains: a title, and metrics of the rig itself.
         notes: remarks.
@@ -61,6 +63,7 @@ class Tuning:
     aim: Aim
     tolerance: float
     amplitude: float
+    speed: float
     edges: tuple[str, ...] = ()
     comparison: tuple[tuple[str, dict[str, float | None]], ...] = ()
     notes: tuple[str, ...] = field(default=())

@@ -278,7 +278,7 @@ def checks(
     ):
         named = zip(objective.trials.names, over, strict=True)
         out += [Check(f"{says} in the run {name!r}", each) for name, each in named]
-    wide = objective.limits.tracking * (WORSE if before.sound else 1.0)
+    wide = objective.limits.tracking * WORSE
     for says, now, was in (
         ("locked", tried.rms, before.rms),
         ("moving", tried.rms_moving, before.rms_moving),

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measured.own import OWN
-from benchmarks.measured.peers import PEERS, predicted
+from benchmarks.measured.peers import predicted
 from benchmarks.measured.sets import SETS, Measured
 from hydrojax.jax_setup import set_up_jax
 
@@ -67,7 +67,7 @@ def main(
 
 def _peers(table: Table, data: Path, measured: Measured) -> None:
     fit, judged = measured.read(data, "fit"), measured.read(data, "validate")
-    for name in PEERS:
+    for name in measured.peers:
         package = NEEDED.get(name)
         if package and importlib.util.find_spec(package) is None:
             table.add_row(name, f"needs {package}", "")

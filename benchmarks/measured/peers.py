@@ -136,6 +136,37 @@ def subspace(runs: Sequence[Run], rank: int) -> Simulate:
     return simulate
 
 
+# -- friction by itself --
+
+
+def friction(runs: Sequence[Run], reach: int) -> Simulate:
+    """A regression by itself for each run, of motion, speed and pressure: a gain, an
+    offset, and friction to either side, Coulomb's behind a stop of `reach` thousandths
+    of the position's standard deviation, and viscous.
+
+    A run is predicted by the regression of that whose mean pressure is nearest.
+    """
+    level = [float(run.u[:, 2].mean()) for run in runs]
+    weights = [
+        np.linalg.lstsq(_rubbing(run, reach), run.y, rcond=None)[0] for run in runs
+    ]
+
+    def simulate(run: Run) -> np.ndarray:
+        nearest = int(np.argmin(np.abs(np.array(level) - run.u[:, 2].mean())))
+        return _rubbing(run, reach) @ weights[nearest]
+
+    return simulate
+
+
+def _rubbing(run: Run, reach: int) -> np.ndarray:
+    x, v, P = run.u.T
+    most, stop = reach / 1000, np.zeros_like(x)
+    for i, moved in enumerate(np.diff(x), start=1):
+        stop[i] = np.clip(stop[i - 1] + moved, -most, most)
+    each = [part for a in (stop, v) for part in (np.maximum(a, 0), np.minimum(a, 0))]
+    return np.column_stack([*each, P, np.ones_like(P)])
+
+
 # -- not linear --
 
 
@@ -229,6 +260,7 @@ PEERS: Mapping[str, tuple[Fit, tuple[int, ...]]] = MappingProxyType(
         "subspace (N4SID)": (subspace, (2, 4, 8)),
         "NARX (SysIdentPy)": (narx, (2, 4)),
         "GRU": (gru, (8, 24)),
+        "regression of each run": (friction, (5, 10, 20, 30, 50, 100)),
     }
 )
 """How each is fitted, and the sizes it chooses from."""

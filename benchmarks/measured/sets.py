@@ -45,6 +45,7 @@ class Measured:
         size: of that unit in what is predicted.
         source: who recorded it, and where it is had.
         runs: `part` ("fit" or "validate") -> the runs; see `read`.
+        peers: names of the other models.
     """
 
     folder: str
@@ -53,6 +54,7 @@ class Measured:
     size: float
     source: str
     runs: Callable[[Path, str], list[Run]]
+    peers: tuple[str, ...] = ("ARX", "subspace (N4SID)", "NARX (SysIdentPy)", "GRU")
 
     def read(self, data: Path, part: str) -> list[Run]:
         """The runs of a part, "fit" or "validate"."""
@@ -106,7 +108,11 @@ def _speed(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     return make_smoothing_spline(t, x, lam=lam)(t, 1)
 
 
-_SEALS = "E. Zillen, 3D-printed pneumatic actuators, CC0-1.0"
+def _of_a_seal(folder: str) -> Measured:
+    source = "E. Zillen, 3D-printed pneumatic actuators, CC0-1.0"
+    peers = (*Measured.peers, "regression of each run")
+    return Measured(folder, "motion, pressure → force", "N", 1.0, source, _seal, peers)
+
 
 SETS: Mapping[str, Measured] = MappingProxyType(
     {
@@ -114,15 +120,9 @@ SETS: Mapping[str, Measured] = MappingProxyType(
             "emps", "drive force → position", "mm", 1e-3,
             "A. Janot, M. Gautier, M. Brunot, 2019; nonlinearbenchmark.org", _emps,
         ),
-        "KDN seal": Measured(
-            "zillen-kdn", "motion, pressure → force", "N", 1.0, _SEALS, _seal
-        ),
-        "circular seal": Measured(
-            "zillen-circle", "motion, pressure → force", "N", 1.0, _SEALS, _seal
-        ),
-        "O-ring 257": Measured(
-            "zillen-o-ring257", "motion, pressure → force", "N", 1.0, _SEALS, _seal
-        ),
+        "KDN seal": _of_a_seal("zillen-kdn"),
+        "circular seal": _of_a_seal("zillen-circle"),
+        "O-ring 257": _of_a_seal("zillen-o-ring257"),
         "friction damper": Measured(
             "arts-friction-damper", "motion → force", "kN", 1e3,
             "ARTS-Laboratory, Dataset-Friction-Damper-with-Backlash, CC BY-SA 4.0",

@@ -279,7 +279,8 @@ def _print(tuned: Tuned) -> None:
         table.add_row(
             name, f"{tuned.start[name]:.4g}", f"{value:.4g}", tuned.units[name]
         )
-    console.print(table)
+    if not tuned.obstacles:
+        console.print(table)
     console.print(display.limit(tuned))
     for line in tuned.notes:
         console.print(f"- {line}")

@@ -53,6 +53,10 @@ program takes longer to compile than all fits of a trace save by fewer columns."
 KEPT = 4
 """Values for which a problem keeps the residuals."""
 
+NO_WORSE = 1.01
+"""Squared residuals over those of the first guess up to which corrected initial
+pressures are no worse, 1: both are free of what the guess does to first order."""
+
 PRESSURES = np.array([True, True, False])
 """Which channels are pressures."""
 
@@ -321,9 +325,11 @@ class Problem:
         """What `_begin` gives.
 
         Initial pressures are corrected once, and linearly beyond that: logs that take
-        no part in a fit come with a first guess only. Where no pressure is measured it
-        takes more, and ways that lead through worse places: each window keeps the best
-        it saw. Nothing is to be corrected where pressures are the log's.
+        no part in a fit come with a first guess only. The residuals of both hardly
+        differ then: the later one is kept unless it is worse, and where it leads. Where
+        no pressure is measured it takes more, and ways that lead through worse
+        places: each window keeps the best it saw. Nothing is to be corrected where
+        pressures are the log's.
         """
         noise = np.asarray(self.batch.noise)
         seen = np.isfinite(noise)
@@ -332,14 +338,19 @@ class Problem:
         def cost(left: np.ndarray) -> np.ndarray:
             return np.sum((left[..., seen] / noise[seen]) ** 2, axis=(1, 2))
 
-        P_0 = best = np.asarray(self.batch.P_0)
+        def leads(P_0: np.ndarray, off: np.ndarray) -> np.ndarray:
+            return P_0 - off if self.simulate and not self.blind else P_0
+
+        P_0 = np.asarray(self.batch.P_0)
         left, off = self._left(values, self.batch)
+        best = leads(P_0, off)
         rounds = self.criteria.blind_corrections if self.blind else int(self.simulate)
         for _ in range(rounds):
             P_0 = np.clip(P_0 - off, 0.0, highest) if self.blind else P_0 - off
             there, off = self._left(values, self.batch._replace(P_0=P_0))
-            better = cost(there) <= cost(left)
-            best = np.where(better[:, None], P_0, best)
+            most = cost(left) * (1.0 if self.blind else NO_WORSE)
+            better = cost(there) <= most
+            best = np.where(better[:, None], leads(P_0, off), best)
             left = np.where(better[:, None, None], there, left)
         return self.batch._replace(P_0=best), left
 

@@ -31,6 +31,7 @@ from hydrojax.identify.tracing.state import Added, Tracing, free_names
 from hydrojax.jax_setup import cores
 from hydrojax.parameters import specs
 from hydrojax.plant.effect import Effect
+from hydrojax.plant.places import place_of
 
 Values = Float[np.ndarray, "n"]
 
@@ -68,7 +69,10 @@ def from_afar(
     off), and rated by what a linear step of all that is free leaves. From the best
     along the grids a few steps of a fit follow. What acts on the pressures is rated by
     the flow balances at the measured ones, whatever its grid; the rest by force and
-    sensors at the pressures that are replayed.
+    sensors at the pressures that are replayed. What acts on the command is rated by all
+    channels where something that acts there is free already and the force alone shows
+    more: of a spool and a dead time the first to be found does the other's work, so
+    well that pressures do not show it, and from zero the other has no slope left.
     Nothing is asked where nothing stands above the noise, or where a candidate's score
     at zero accounts for all of it; and the balances only of pressures that do.
 
@@ -83,6 +87,8 @@ def from_afar(
     searches = [_replays(state, effects, noise)]
     if np.any(above & PRESSURES):
         searches.insert(0, _balances(state, effects, state.criteria.far_steps))
+    if above.any():
+        searches.append(_commands(state, effects, noise))
     out = {}
     for search in filter(None, searches):
         for name, fits in _found(state, effects, search).items():
@@ -178,21 +184,50 @@ def _replays(
     state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
 ) -> _Search | None:
     """Effects whose strengths have a grid, and that the balances do not show."""
-    problem, own = state.problem, state.criteria
+    problem = state.problem
     grids = {
         name: starts
         for name, e in effects.items()
         if (starts := nonlocal_starts(e))
         and not (problem.sees_pressures and problem.side(free_names(e), True))
     }
-    if not grids:
-        return None
-    weights = np.where(np.isfinite(noise), state.point.weights, np.inf)
-    batch = thinned(problem.batch, own.start_windows)._replace(noise=weights)
-    few = replace(problem, batch=batch)
+    few = _thinned(state, noise)
     if problem.sees_pressures:
         few = few.behind(state.point.values)
-    batch = few.batch
+    return _by_replays(state, few, grids)
+
+
+def _commands(
+    state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
+) -> _Search | None:
+    """Effects on the command whose strengths have a grid, where another is free."""
+    own = state.problem.model.rig.command
+    if not {e.name for e in own} & {n.split(".")[0] for n in state.free}:
+        return None
+    grids = {
+        name: starts
+        for name, e in effects.items()
+        if place_of(e).name == "command" and (starts := nonlocal_starts(e))
+    }
+    search = _by_replays(state, _thinned(state, noise), grids)
+    # What was found with the first is where the second is looked for.
+    return search and search._replace(begin=search.begin[:1])
+
+
+def _thinned(state: Tracing, noise: Float[np.ndarray, "3"]) -> Problem:
+    """The problem on a few windows, in the state's weights of what is compared."""
+    weights = np.where(np.isfinite(noise), state.point.weights, np.inf)
+    batch = thinned(state.problem.batch, state.criteria.start_windows)
+    return replace(state.problem, batch=batch._replace(noise=weights))
+
+
+def _by_replays(
+    state: Tracing, few: Problem, grids: Mapping[str, Sequence[Mapping[str, float]]]
+) -> _Search | None:
+    """A search of effects from their grids by replays of a few windows."""
+    if not grids:
+        return None
+    own, batch = state.criteria, few.batch
 
     def evaluate(values: Values, free: Sequence[str]) -> Linear:
         slots = few.slots(free)

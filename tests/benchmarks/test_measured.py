@@ -43,6 +43,28 @@ def test_a_run_that_counts_late_is_judged_late():
     assert error < 1e-10
 
 
+def rubbing(P: float, coulomb: float, seed: int) -> Run:
+    """A seal at one pressure, whose Coulomb friction sets in within 0.1 of a unit."""
+    t = np.arange(3000) * 0.01
+    x = 5 * np.sin(0.7 * t + seed) + 3 * np.sin(1.9 * t)
+    v = np.gradient(x, t)
+    stuck = np.zeros_like(x)
+    for i, moved in enumerate(np.diff(x), start=1):
+        stuck[i] = min(max(stuck[i - 1] + moved, -0.1), 0.1)
+    friction = coulomb * stuck / 0.1 + 0.4 * np.where(v > 0, v, 2 * v)
+    return Run(t, np.column_stack([x, v, np.full_like(t, P)]), 50 * P + friction)
+
+
+def test_a_regression_of_each_run_takes_that_of_the_same_pressure():
+    fit = [rubbing(1.0, 3.0, 1), rubbing(5.0, 9.0, 2)]
+    judged = [rubbing(5.02, 9.0, 3), rubbing(0.99, 3.0, 4)]
+    error, _ = predicted("regression of each run", fit, judged)
+    assert error < 1.5  # 50 times the 0.02 by which pressures differ, and the reach
+    swapped = [rubbing(5.0, 3.0, 3), rubbing(1.0, 9.0, 4)]
+    worse, _ = predicted("regression of each run", fit, swapped)
+    assert worse > 3 * error
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["subspace (N4SID)", "NARX (SysIdentPy)"])
 def test_the_others_are_near_on_a_linear_system(name):

@@ -6,6 +6,7 @@ nothing missing a run through the whole log stays at the noise.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -14,10 +15,13 @@ import pytest
 
 from hydrojax.identify import api
 from hydrojax.identify.case import open_case
+from hydrojax.identify.estimation.known import free_parameters
+from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.results.horizons import _Arx, _starts, drifting
 from hydrojax.identify.results.outcome import ChannelErrors, Horizon
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
+from hydrojax.rigfile.build import build_rig
 
 
 @pytest.fixture(scope="module")
@@ -134,3 +138,20 @@ def test_runs_of_less_than_two_windows_are_left_out(length):
         0.25: ["0.25", "1", "free"], 1.0: ["1", "5", "free"],
         3.0: ["3", "5", "free"], 12.0: ["12", "free"],
     }[length]  # fmt: skip
+
+
+def test_a_run_begins_where_its_window_says_wherever_the_guess_was(outcome):
+    """The residuals are free of the start's error, so which of two starts has the
+    smaller ones is chance: some runs would begin at the guess.
+    """
+    found, case, _ = outcome
+    problem = Problem.of(build_rig(case.spec), free_parameters(case.spec), case.check)
+    values = problem.initial_values()
+    for name, p in found.parameters.items():
+        values[problem.model.names.index(name)] = p.value
+    near = problem.started(values).P_0
+    rng = np.random.default_rng(0)
+    off = rng.choice([-1.0, 1.0], near.shape) * rng.uniform(2e4, 6e4, near.shape)
+    batch = problem.batch._replace(P_0=near + off)
+    again = replace(problem, batch=batch).started(values).P_0
+    assert np.max(np.abs(again - near)) < 100.0

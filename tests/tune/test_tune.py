@@ -570,6 +570,48 @@ def test_what_the_file_does_not_say_is_assumed():
     assert np.ptp(known["valve_lag.tau"]) == np.ptp(known["valve_delay.tau_u"]) == 0
 
 
+def test_the_joint_moves_no_faster_than_the_valve_can_feed():
+    """With equal edges and areas both chambers lose the same at them: of the supply
+    2 (A v / (c u))^2, and what is left pushes against friction.
+    """
+    rig = replace(SPEC, effects={})
+    setting = open_setting(rig)
+    known = quantities(rig, setting)
+    for name in ("c_p1", "c_p2", "c_n1", "c_n2"):
+        setting = known[name].put(setting, 1.1e-9 / known[name].factor)
+    for name in ("k_cp", "k_cn"):
+        setting = known[name].put(setting, 700 / known[name].factor)
+    drop = 14e6 - 0.25e6 - 700 / 1.18e-3
+    expected = 1.1e-9 * 10 * np.sqrt(drop / 2) / 1.18e-3
+    assert float(trials.top_speed(setting)) == pytest.approx(expected, rel=0.05)
+    made = trials.make_trials(setting)
+    assert made.speed == pytest.approx(0.75 * expected, rel=0.05) and made.speed < 0.03
+    x = np.asarray(made.scenarios.environment.x[trials.MOVING])[:, 0, 0]
+    assert np.abs(np.diff(x)).max() / 1e-3 == pytest.approx(made.speed, rel=0.01)
+
+
+def test_what_is_assumed_is_taken_off_what_logs_gave():
+    """Of a spool and a delay they may show the sum alone: at low frequencies a spool is
+    late by 2 zeta / omega.
+    """
+    rig = replace(SPEC, effects={})
+    setting = open_setting(rig, extra=api.VALVE)
+    late_by = quantities(rig, setting)["valve_delay.tau_u"]
+    setting = late_by.put(setting, 3e-3 / late_by.factor)
+    known = {"valve_delay", "k_fp"}
+
+    def late(plants):
+        column = dict(zip(plants.names, plants.values.T, strict=True))
+        tau, tau_u = column["valve_lag.tau"], column["valve_delay.tau_u"]
+        return 2 * 0.7 * tau + tau_u, tau
+
+    both, _ = late(with_unsaid(setting, ensemble(setting, 6), known))
+    one, tau = late(with_unsaid(setting, ensemble(setting, 6), known, fitted=known))
+    assert both.min() > 4e-3
+    np.testing.assert_allclose(one, 3e-3)
+    assert tau.min() > 5e-4 and np.ptp(tau) > 2e-4
+
+
 def test_a_trace_s_ensemble_is_as_wide_as_its_residual(tmp_path):
     """A covariance of next to nothing, and 8 % of F left by the validation."""
     report = {
