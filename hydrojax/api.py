@@ -135,10 +135,12 @@ def retraced(
     progress: Progress = lambda _: None,
 ) -> Result:
     """The trace of a result's case once more, with what was added to the vocabulary
-    since; its curves are kept.
+    since; its curves are kept, and its time counts.
     """
     outcome = api.trace_case(result.case, starts, progress, profile)
-    outcome = replace(outcome, curves=result.curves)
+    spent = result.outcome.seconds
+    seconds = {n: s + spent.get(n, 0.0) for n, s in outcome.seconds.items()}
+    outcome = replace(outcome, curves=result.curves, seconds=seconds)
     known = result.outcome.inputs
     if any(f.mended for f in known):  # in that case nothing of it is left to be found
         outcome = with_inputs(outcome, known)

@@ -94,9 +94,9 @@ def search(
     """Gains around the best of those that were tried, round by round.
 
     First gains that are spread evenly about the present ones and down from them: what
-    is proposed may lie far from where a descent ended. Then rounds of sequential linear programming: a
-    model of all limits, fitted to what was tried near the best so far, says which gains
-    keep them and reach most; some at random keep the model alive.
+    is proposed may lie far from where a descent ended. Then rounds of sequential linear
+    programming: a model of all limits, fitted to what was tried near the best so far,
+    says which gains keep them and reach most; some at random keep the model alive.
 
     Args:
         objective: whose gains they are; they stay within `optimize.reach`.

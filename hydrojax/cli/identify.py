@@ -240,7 +240,9 @@ def print_outcome(outcome: Outcome) -> None:
 
     said = Text.assemble((outcome.verdict, "bold"), "  ", outcome.sentence, "\n")
     console.print(said)
-    table = Table("channel", "noise", "before", "after", "after / noise", "skill")
+    of = "errors of the test logs, in no decision" if outcome.test_logs else None
+    heads = ("channel", "noise", "before", "after", "after / noise", "skill")
+    table = Table(*heads, caption=of)
     for name, c in outcome.channels.items():
         table.add_row(
             name,

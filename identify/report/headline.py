@@ -61,11 +61,23 @@ def headline(outcome: Outcome) -> str:
     if c.window is not None and c.window.skill is not None and c.window.skill <= 0:
         return f"{lead}The model predicts {name} no better than a held value: {after}."
     stays = f"{after}, {times}."
+    if c.validate is not None and outcome.unexplained:
+        # The verdict is theirs, and the test logs may be at their noise.
+        left = {u.channel: outcome.channels[u.channel] for u in outcome.unexplained}
+        name, c = max(left.items(), key=lambda n: _decided(n[1]) / n[1].noise)
+        after = quantity_text(_decided(c), c.unit, figures=3)
+        times = f"{_decided(c) / c.noise:.3g} times its noise"
+        stays = f"{after} RMS on the validation logs, {times}."
     if effects:
         was = "was" if len(outcome.effects) == 1 else "were"
         return f"{lead}{effects.capitalize()} {was} found, but {name} stays at {stays}"
     by = "the declared model" if outcome.command == "identify" else "any known effect"
     return f"{lead}{name} is not explained by {by}: {stays}"
+
+
+def _decided(c: ChannelErrors) -> float:
+    """The error by which the verdict was found, SI."""
+    return (c.validate or c).after
 
 
 def _phrase(names: Sequence[str]) -> str:

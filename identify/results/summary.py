@@ -159,6 +159,8 @@ def _left(
     whose RMS is `errors` [3].
     """
     tick, places = float(np.median(case.check.windows.h)), _places(case, after.shape[1])
+    which = "validation" if case.held_out else "fitted"
+    where = f" on the {which} logs" if case.test is not None else ""
     return tuple(
         unexplained(
             CHANNELS[c],
@@ -169,6 +171,7 @@ def _left(
             tick,
             state.criteria,
             places,
+            where,
         )
         for c in seen
         if errors[c] > state.criteria.at_noise * state.noise[c]

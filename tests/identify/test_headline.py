@@ -11,6 +11,7 @@ import hydrojax as hj
 from hydrojax.identify.report.headline import grade, headline, loop_verdict
 from hydrojax.identify.report.traces import SECONDS, stretch
 from hydrojax.identify.results.outcome import (
+    Errors,
     FoundEffect,
     Horizon,
     LoopCheck,
@@ -64,6 +65,17 @@ def test_a_sentence_says_what_goes_with_values_that_were_left_open():
     assert some.endswith("take away 83.4 % of the squared error above the noise.")
     assert "55" in some and "cannot be judged" not in some
     assert "F cannot be judged" in said(LeftOpen(("c_n2",), 1.0, True))
+
+
+def test_what_stays_is_said_of_the_logs_that_the_verdict_is_of():
+    """The test logs are at their noise here, the validation logs are not."""
+    unknown = OUTCOMES["unknown"]()
+    first = unknown.unexplained[:1]
+    c = unknown.channels[first[0].channel]
+    both = replace(c, after=c.noise, validate=Errors(c.before, 3 * c.noise))
+    channels = {**unknown.channels, first[0].channel: both}
+    said = headline(replace(unknown, channels=channels, unexplained=first))
+    assert "on the validation logs, 3 times its noise" in said
 
 
 def test_a_model_without_skill_says_so():
