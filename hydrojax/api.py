@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -124,8 +125,11 @@ def discover(result: Result, *, progress: Progress = lambda _: None) -> Result:
         )
     from hydrojax.identify.discovery.discover import searched
 
+    began = time.perf_counter()
     _, outcome = searched(case, result.outcome, progress)
-    return replace(result, outcome=outcome)
+    spent = outcome.seconds.get("run", 0.0) + time.perf_counter() - began
+    seconds = {**outcome.seconds, "run": spent}
+    return replace(result, outcome=replace(outcome, seconds=seconds))
 
 
 def retraced(

@@ -61,9 +61,9 @@ def headline(outcome: Outcome) -> str:
     if c.window is not None and c.window.skill is not None and c.window.skill <= 0:
         return f"{lead}The model predicts {name} no better than a held value: {after}."
     stays = f"{after}, {times}."
-    if c.validate is not None and outcome.unexplained:
+    left = {u.channel: outcome.channels[u.channel] for u in outcome.unexplained}
+    if any(c.validate is not None for c in left.values()):
         # The verdict is theirs, and the test logs may be at their noise.
-        left = {u.channel: outcome.channels[u.channel] for u in outcome.unexplained}
         name, c = max(left.items(), key=lambda n: _decided(n[1]) / n[1].noise)
         after = quantity_text(_decided(c), c.unit, figures=3)
         times = f"{_decided(c) / c.noise:.3g} times its noise"

@@ -26,7 +26,7 @@ def unexplained(
     tick: float,
     criteria: Criteria = Criteria(),
     places: Sequence[tuple[str, float, float]] = (),
-    where: str = "",
+    logs: str = "",
 ) -> Unexplained:
     """Describe the residual of a channel that stays above its noise.
 
@@ -42,10 +42,10 @@ def unexplained(
         tick: step of the log, s.
         criteria: from which share on a correlation is stated.
         places: log, start and end (s) of each window; without, no place is said.
-        where: the logs that it is of, where errors are shown of others.
+        logs: on which it is, where errors are shown of others.
     """
     excess = float(np.sqrt(max(np.mean(residual**2) - noise**2, 0.0)))
-    size = f"{channel} stays {_size(excess, unit)} RMS above its noise{where}"
+    size = f"{channel} stays {_size(excess, unit)} RMS above its noise{logs}"
     found = [
         Dependence(n, *dependence(residual, s, criteria)) for n, s in signals.items()
     ]
