@@ -88,10 +88,11 @@ def _instability(objective: Objective) -> list[str]:
     largest = objective.before["largest_eigenvalue"]
     if np.all(largest < 1):
         return []
+    count = int(np.sum(largest >= 1))
     return [
-        f"With the gains before, {int(np.sum(largest >= 1))} of {largest.size} plants "
-        f"are unstable, joint at rest or moving: largest eigenvalue "
-        f"{largest.max():.4f}."
+        f"With the gains before, {count} of {largest.size} plants "
+        f"{'is' if count == 1 else 'are'} unstable, joint at rest or moving: largest "
+        f"eigenvalue {largest.max():.4f}."
     ]
 
 

@@ -176,8 +176,9 @@ def limit(t: Tuning) -> str:
         return "Relaxing any single limit widens the band by at most 3 %."
     top = gains[0]
     return (
-        f"The main limit is {top.what.partition(':')[0]}: relaxed, the worst plant "
-        f"reaches {top.band:.1f} Hz, {100 * top.gain:+.0f} %."
+        f"The main limit is {top.what.partition(':')[0]}: relaxed, the linearised "
+        f"loop's band on the worst plant goes from {top.band / (1 + top.gain):.1f} to "
+        f"{top.band:.1f} Hz."
     )
 
 

@@ -69,10 +69,11 @@ def from_afar(
     off), and rated by what a linear step of all that is free leaves. From the best
     along the grids a few steps of a fit follow. What acts on the pressures is rated by
     the flow balances at the measured ones, whatever its grid; the rest by force and
-    sensors at the pressures that are replayed. What acts on the command is rated by all
-    channels where something that acts there is free already and the force alone shows
-    more: of a spool and a dead time the first to be found does the other's work, so
-    well that pressures do not show it, and from zero the other has no slope left.
+    sensors at the pressures that are replayed. What acts on the command is rated by
+    replays, too, where something that acts there is free already and a force is
+    compared, which shows more than the noise of pressures lets through to balances: of
+    a spool and a dead time the first to be found does nearly all of the other's work,
+    and from zero the other has no slope left.
     Nothing is asked where nothing stands above the noise, or where a candidate's score
     at zero accounts for all of it; and the balances only of pressures that do.
 
@@ -87,7 +88,7 @@ def from_afar(
     searches = [_replays(state, effects, noise)]
     if np.any(above & PRESSURES):
         searches.insert(0, _balances(state, effects, state.criteria.far_steps))
-    if above.any():
+    if state.problem.sees_force:
         searches.append(_commands(state, effects, noise))
     out = {}
     for search in filter(None, searches):

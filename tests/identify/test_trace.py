@@ -585,3 +585,20 @@ def test_white_noise_goes_with_nothing(signals, seed):
     assert left.follows == "none"
     assert left.excess == pytest.approx(np.sqrt(8) * 1e3, rel=0.05)
     assert "kPa" in left.description
+
+
+@pytest.mark.slow
+def test_a_spool_and_a_dead_time_are_told_apart(recorded):
+    """Either does nearly all that both do: beside the first the second has no slope at
+    zero, and was taken for a soft rod, a dead band and a slow gauge.
+    """
+    hidden = {"valve_delay": {"tau_u": 2e-3}, "valve_lag": {"omega": 500.0}}
+    case = recorded(11, hidden)
+    logs = [case / "fit_1.csv", case / "fit_2.csv"]
+    outcome = trace_case(open_case(case / "rig.toml", logs, [case / "validate.csv"]))
+    assert outcome.verdict == "explained"
+    found = {e.name: e.parameters for e in outcome.effects}
+    assert set(found) == {"valve_delay", "valve_lag"}
+    assert found["valve_delay"]["tau_u"].value == pytest.approx(2e-3, rel=0.01)
+    assert found["valve_lag"]["omega"].value == pytest.approx(500.0, rel=0.01)
+    assert found["valve_lag"]["zeta"].value == pytest.approx(0.7, rel=0.01)
