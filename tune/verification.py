@@ -23,6 +23,10 @@ DELAY_MARGIN = 0.25
 WORSE = 1.05
 """How much worse a plant may be than before, relative: rounding and noise."""
 
+PRICE = 1.5
+"""How much worse than before a sound plant may track for the sake of one that
+oscillates, relative."""
+
 SURE = 0.85
 """Share of a tolerance within which F follows to where a band is promised: where the
 error is nearly flat about its tolerance, a second simulator that differs by a few per
@@ -92,9 +96,14 @@ class Tried:
         return self.full > trials.SATURATED
 
     @property
+    def calm(self) -> Bool[np.ndarray, "plants"]:
+        """Which plants are stable, and do not oscillate."""
+        return (self.eigenvalue < 1) & ~np.any(self.oscillates, axis=0)
+
+    @property
     def sound(self) -> bool:
-        """Whether no plant is unstable, and none oscillates."""
-        return bool(np.all(self.eigenvalue < 1) and not np.any(self.oscillates))
+        """Whether all of them are."""
+        return bool(np.all(self.calm))
 
     def figures(self, plant: int | None) -> dict[str, float | bool | None]:
         """By tune.json's names, of one plant, or the worst of each figure (None)."""
@@ -286,7 +295,10 @@ def checks(
     ):
         i = int(np.argmax(now / was))
         figures = f", {now[i]:.3g} N RMS against {was[i]:.3g} N before"
-        most = wide * (was if before.sound else np.max(was))
+        # A plant that oscillated has no tracking to be kept; what makes it sound may
+        # cost the others something, but not all.
+        own = was if before.sound else PRICE * was
+        most = wide * np.where(before.calm, own, np.max(was))
         out.append(Check(f"tracks worse ({says})", beyond(now, most), figures))
     lost = LOST * objective.trials.amplitude[trials.MOVING]
     figures = f", {tried.rms_moving.max():.3g} N RMS"

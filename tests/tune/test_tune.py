@@ -367,6 +367,27 @@ def test_a_point_that_is_never_reached_is_unstable():
     np.testing.assert_array_equal(linearize.largest_eigenvalue(system), [0.5, np.inf])
 
 
+def test_a_sound_plant_keeps_its_tracking_where_another_oscillated():
+    objective = SimpleNamespace(
+        limits=Limits(),
+        trials=SimpleNamespace(names=tuple("abcdefg"), amplitude=np.full(7, 2000.0)),
+    )
+    swings = np.zeros((7, 3))
+    swings[0, 1] = 2.0
+    moving = np.array([8.0, 600.0, 9.0])
+    was = replace(TRIED, rms_moving=moving, small_moving=moving, swings=swings)
+    assert was.calm.tolist() == [True, False, True] and not was.sound
+
+    def against(*now):
+        rms = np.array(now)
+        tried = replace(was, rms_moving=rms, small_moving=rms, swings=0 * swings)
+        return verification.against(objective, tried, was)
+
+    assert against(12.0, 590.0, 13.0) == ()
+    (moves, small) = against(16.0, 20.0, 9.0)
+    assert "tracks worse (moving) on 1 of 3" in moves and "small" in small
+
+
 def test_what_speaks_against_gains_is_weighed():
     """Each limit by itself, just kept and just broken, and by how much."""
     names = tuple("abcdefg")
