@@ -88,7 +88,8 @@ def from_afar(
     searches = [_replays(state, effects, noise)]
     if np.any(above & PRESSURES):
         searches.insert(0, _balances(state, effects, state.criteria.far_steps))
-    if state.problem.sees_force:
+    if state.problem.sees_force and state.problem.sees_pressures:
+        # Last, so that it counts where the balances rate the same effects.
         searches.append(_commands(state, effects, noise))
     out = {}
     for search in filter(None, searches):
@@ -192,6 +193,8 @@ def _replays(
         if (starts := nonlocal_starts(e))
         and not (problem.sees_pressures and problem.side(free_names(e), True))
     }
+    if not grids:
+        return None
     few = _thinned(state, noise)
     if problem.sees_pressures:
         few = few.behind(state.point.values)
@@ -210,9 +213,11 @@ def _commands(
         for name, e in effects.items()
         if place_of(e).name == "command" and (starts := nonlocal_starts(e))
     }
+    if not grids:
+        return None
     search = _by_replays(state, _thinned(state, noise), grids)
     # What was found with the first is where the second is looked for.
-    return search and search._replace(begin=search.begin[:1])
+    return search._replace(begin=search.begin[:1])
 
 
 def _thinned(state: Tracing, noise: Float[np.ndarray, "3"]) -> Problem:
@@ -224,10 +229,8 @@ def _thinned(state: Tracing, noise: Float[np.ndarray, "3"]) -> Problem:
 
 def _by_replays(
     state: Tracing, few: Problem, grids: Mapping[str, Sequence[Mapping[str, float]]]
-) -> _Search | None:
+) -> _Search:
     """A search of effects from their grids by replays of a few windows."""
-    if not grids:
-        return None
     own, batch = state.criteria, few.batch
 
     def evaluate(values: Values, free: Sequence[str]) -> Linear:
