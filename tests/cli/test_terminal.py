@@ -69,6 +69,7 @@ def test_a_verdict_is_wrapped_at_words(width, monkeypatch):
 def outcome(verdict: str) -> SimpleNamespace:
     """As much of an outcome as a terminal shows."""
     return SimpleNamespace(
+        test_logs=(),
         verdict=verdict, sentence=SENTENCE, channels={}, effects=(), inputs=(),
         limits=(), notes=(), curves=(), seconds={"compile": 1.0, "run": 1.0},
     )  # fmt: skip
