@@ -274,12 +274,11 @@ def _print(tuned: Tuned) -> None:
     from hydrojax.tune import display
 
     console.print(display.sentence(tuned))
-    table = Table("gain", "before", "after", "unit")
-    for name, value in tuned.gains.items():
-        table.add_row(
-            name, f"{tuned.start[name]:.4g}", f"{value:.4g}", tuned.units[name]
-        )
     if not tuned.obstacles:
+        table = Table("gain", "before", "after", "unit")
+        for name, value in tuned.gains.items():
+            start = tuned.start[name]
+            table.add_row(name, f"{start:.4g}", f"{value:.4g}", tuned.units[name])
         console.print(table)
     console.print(display.limit(tuned))
     for line in tuned.notes:
