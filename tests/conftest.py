@@ -1,10 +1,12 @@
 """A reference rig, and short synthetic logs with motion known in closed form."""
 
+import hashlib
 import os
 import resource
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -234,15 +236,23 @@ def cache_home() -> Path:
 
 @pytest.fixture(scope="session")
 def recorded(tmp_path_factory) -> Callable[..., Path]:
-    """What records a case of the generator, once: rig.toml, three logs, truth.json."""
-    made: dict[tuple, Path] = {}
+    """What records a case of the generator: rig.toml, three logs, truth.json.
+
+    A case is recorded once for all workers, which read it only.
+    """
+    home = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        home = home.parent
 
     def record(seed: int, effects=None, seconds: float = 12.0) -> Path:
-        key = (seed, repr(effects), seconds)
-        if key not in made:
-            made[key] = tmp_path_factory.mktemp("case")
-            generator.write_case(made[key], seed, effects, seconds)
-        return made[key]
+        key = repr((seed, effects, seconds)).encode()
+        case = home / f"case-{hashlib.sha256(key).hexdigest()[:16]}"
+        if not case.exists():
+            made = tmp_path_factory.mktemp("case")
+            generator.write_case(made, seed, effects, seconds)
+            with suppress(OSError):  # another worker was faster
+                made.rename(case)
+        return case
 
     return record
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import accumulate
 
 import numpy as np
@@ -110,11 +111,23 @@ class _Ticks:
             np.diff(s.P, axis=0), toward * area * np.diff(s.x)[:, None], volume, area,
         )  # fmt: skip
 
-    def table(self, ticks: int, each: Mapping[str, np.ndarray]) -> Table:
-        """Rows of chamber 1, then of 2; `each` column is [n, 2]."""
-        sums = window_sums(np.stack([self.swept, *each.values()], axis=2), ticks)
-        rows = sums.transpose(2, 1, 0).reshape(len(each) + 1, -1)
-        return Table(rows[0], dict(zip(each, rows[1:], strict=True)))
+    def table(
+        self, ticks: int, both: Mapping[str, np.ndarray], own: Mapping[str, np.ndarray]
+    ) -> Table:
+        """Rows of chamber 1, then of 2; each column is [n, 2].
+
+        What stands in `own` has a constant for each chamber, whose name ends with its
+        number, and is nothing in the rows of the other.
+        """
+        each = np.stack([self.swept, *both.values(), *own.values()], axis=2)
+        first, second = window_sums(each, ticks).transpose(1, 2, 0)
+        rows = iter(zip(first, second, strict=True))
+        y = np.concatenate(next(rows))
+        columns = {n: np.concatenate(next(rows)) for n in both}
+        for name, (one, other) in zip(own, rows, strict=True):
+            columns[f"{name}1"] = np.concatenate([one, np.zeros_like(other)])
+            columns[f"{name}2"] = np.concatenate([np.zeros_like(one), other])
+        return Table(y, columns)
 
 
 def flow_table(s: EvenTicks, g: Geometry, ticks: int) -> Table:
@@ -124,14 +137,12 @@ def flow_table(s: EvenTicks, g: Geometry, ticks: int) -> Table:
     `delta_1` and `delta_2`.
     """
     t = _Ticks.of(s, g)
-    each = {"beta": -t.volume * t.dP}
-    for i, own in enumerate(np.eye(2)):
-        each |= {
-            EDGES[2 * i]: own * t.opens * t.fill * t.h,
-            EDGES[2 * i + 1]: -own * t.shuts * t.drain * t.h,
-            OFFSETS[i]: -own * t.area * t.dP,
-        }
-    return t.table(ticks, each)
+    own = {
+        "c_p": t.opens * t.fill * t.h,
+        "c_n": -t.shuts * t.drain * t.h,
+        "delta_": -t.area * t.dP,
+    }
+    return t.table(ticks, {"beta": -t.volume * t.dP}, own)
 
 
 FLOW_RIVALS: Mapping[str, tuple[str, ...]] = {
@@ -152,24 +163,23 @@ def flow_rivals(s: EvenTicks, g: Geometry, ticks: int) -> Table:
     t = _Ticks.of(s, g)
     supply, drain = t.opens * t.fill * t.h, -t.shuts * t.drain * t.h
     turning = np.sign(np.diff(t.u, prepend=t.u[0]))[:, None]
-    each = {
+    both = {
         "internal_leakage": (t.P[:, ::-1] - t.P) * t.h,
         "external_leakage": -(t.P - t.P_r) * t.h,
         "entrained_air": -t.volume * t.dP / np.maximum(t.P, 1e5),
     }
-    for i, own in enumerate(np.eye(2), 1):
-        each |= {
-            f"laps_p{i}": own * (t.opens > 0) * t.fill * t.h,
-            f"laps_n{i}": -own * (t.shuts > 0) * t.drain * t.h,
-            f"drop_p{i}": own * supply * t.opens**2,
-            f"drop_n{i}": own * drain * t.shuts**2,
-            f"late_p{i}": own * np.diff(supply, axis=0, prepend=supply[:1]),
-            f"late_n{i}": own * np.diff(drain, axis=0, prepend=drain[:1]),
-            f"even_p{i}": own * t.opens * 1e3 * t.h,
-            f"even_n{i}": -own * t.shuts * 1e3 * t.h,
-            f"play_{i}": own * turning * np.where(t.opens > 0, t.fill, t.drain) * t.h,
-        }
-    return t.table(ticks, each)
+    own = {
+        "laps_p": (t.opens > 0) * t.fill * t.h,
+        "laps_n": (t.shuts > 0) * -t.drain * t.h,
+        "drop_p": supply * t.opens**2,
+        "drop_n": drain * t.shuts**2,
+        "late_p": np.diff(supply, axis=0, prepend=supply[:1]),
+        "late_n": np.diff(drain, axis=0, prepend=drain[:1]),
+        "even_p": t.opens * 1e3 * t.h,
+        "even_n": -t.shuts * 1e3 * t.h,
+        "play_": turning * np.where(t.opens > 0, t.fill, t.drain) * t.h,
+    }
+    return t.table(ticks, both, own)
 
 
 # -- force --
@@ -195,9 +205,17 @@ def _switch(dx: np.ndarray, h: float, shape: Shape) -> np.ndarray:
 
 def _friction(s: EvenTicks, shape: Shape) -> tuple[np.ndarray, ...]:
     """Speed, bristle over z_ss, and the share that slides; [ticks]."""
-    dx = np.diff(s.x)
-    v = np.gradient(s.x, s.h)
-    return v, _bristle(dx, shape.z_ss), 1 - _switch(dx, s.h, shape)
+    return _slid(s.x.tobytes(), s.h, shape)
+
+
+@lru_cache(maxsize=64)
+def _slid(x: bytes, h: float, shape: Shape) -> tuple[np.ndarray, ...]:
+    """That of a position (doubles, m) every h seconds: mostly one that other signals
+    are tried beside.
+    """
+    at = np.frombuffer(x)
+    dx = np.diff(at)
+    return np.gradient(at, h), _bristle(dx, shape.z_ss), 1 - _switch(dx, h, shape)
 
 
 def _force_rows(s: EvenTicks, y: np.ndarray, each: Mapping, ticks: int) -> Table:

@@ -23,6 +23,14 @@ TRIED = (
     "psi 1 ms late", "psi 20 ms late",
 )  # fmt: skip
 """Of all that `benchmarks.trace.lies` tells: each kind once."""
+
+
+def slowly(names, *slow):
+    """Parameters of which some take the suite too long."""
+    marks = {name: [pytest.mark.slow] for name in slow}
+    return [pytest.param(name, marks=marks.get(name, ())) for name in names]
+
+
 TOLD = {lie.name: lie for lie in lies_of("pull-pull", "psi")}
 
 
@@ -41,7 +49,7 @@ def test_an_honest_rig_is_left_alone(honest):
     assert "No input looks wrong" in found.summary()
 
 
-@pytest.mark.parametrize("name", TRIED)
+@pytest.mark.parametrize("name", slowly(TRIED, "psi 1 ms late", "psi 20 ms late"))
 def test_a_lie_is_called_by_its_name(honest, name):
     rig, logs = honest
     text, lied = TOLD[name].told(rig.text, logs)
@@ -61,7 +69,7 @@ def test_the_mend_is_the_lie_undone(honest, name):
     assert first.error_if_mended < 0.8 * first.error
 
 
-@pytest.mark.parametrize("ms", [1, 5, 20])
+@pytest.mark.parametrize("ms", slowly((1, 5, 20), 1, 20))
 def test_a_late_position_is_brought_forward(honest, tmp_path, ms):
     """By as much as it is late, in the logs as read and in the files."""
     rig, logs = honest
@@ -89,7 +97,7 @@ def test_a_late_position_is_brought_forward(honest, tmp_path, ms):
     assert read.signals["psi"][:stop] == pytest.approx(own.signals["psi"][:stop])
 
 
-@pytest.mark.parametrize("seed", [42, 75, 81])
+@pytest.mark.parametrize("seed", slowly((42, 75, 81), 42, 81))
 def test_a_long_dead_time_is_not_a_late_position(seed, tmp_path):
     """Valves of 72 ms and 10 Hz, and of 118 ms and 6 Hz: later than a position can be,
     and between two of the steps that are tried. In 42 it is 78 ms, and a filter of 4 Hz
@@ -101,6 +109,7 @@ def test_a_long_dead_time_is_not_a_late_position(seed, tmp_path):
     assert len(logs) == 3 and not any(f.finding == "delay" for f in found)
 
 
+@pytest.mark.slow
 def test_a_slow_valve_does_not_hide_exchanged_pressures(tmp_path):
     """At 100 Hz, with dead time, lag and dead band between command and flow."""
     files.write(record.record([21])[0], tmp_path)
@@ -171,7 +180,13 @@ MENDED = (
 """Lies that a trace undoes by the lines it says."""
 
 
-@pytest.mark.parametrize("name", MENDED)
+@pytest.mark.parametrize(
+    "name",
+    slowly(
+        MENDED, "psi turned round", "pressures exchanged", "pressures turned round",
+        "MPa for bar", "bar for Pa",
+    ),
+)  # fmt: skip
 def test_what_is_mended_is_the_honest_input(honest, name):
     """The logs are the honest ones again, and the rig file's check finds nothing."""
     rig, logs = honest
@@ -257,6 +272,7 @@ def test_a_line_that_no_rig_can_have_is_left_out():
     assert mended(spec, [odd]) == (spec, (odd,))
 
 
+@pytest.mark.slow
 def test_a_trace_mends_the_input_and_goes_on(honest, recorded):
     """No effect is named for a sign that is wrong."""
     rig, logs = honest

@@ -240,10 +240,16 @@ def test_an_alias_is_reported_with_its_partners(recorded, tmp_path):
 @pytest.mark.parametrize(
     "channels",
     [
-        'P_a1 = { column = "P_a2" }\nP_a2 = { column = "P_a1" }',
-        'u = { column = "u", invert = true }',
+        pytest.param(
+            'P_a1 = { column = "P_a2" }\nP_a2 = { column = "P_a1" }',
+            id="pressures exchanged",
+        ),
+        pytest.param(
+            'u = { column = "u", invert = true }',
+            id="command inverted",
+            marks=pytest.mark.slow,
+        ),
     ],
-    ids=["pressures exchanged", "command inverted"],
 )
 def test_wrong_data_does_not_look_good(recorded, tmp_path, channels):
     case = recorded(SEED)
