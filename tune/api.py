@@ -272,6 +272,7 @@ def _tuned(tuning: ToTune, starts: int, progress: Callable[[str], None]) -> Tune
         tolerance_of(objective),
         float(objective.setting.amplitude),
         objective.trials.speed,
+        objective.programs.run_by,
         edges(objective, gains),
         comparison,
         notes(objective, after, most),

@@ -15,12 +15,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from hydrojax.errors import InputError
-from hydrojax.export.codegen.graph import DOUBLE, LANE, Graph
-from hydrojax.export.codegen.lanes import laned
-from hydrojax.export.codegen.running import runner
+from hydrojax.export.codegen.graph import DOUBLE, LANE, TICK, Graph
+from hydrojax.export.codegen.running import flat, stepper
 from hydrojax.export.codegen.scalarise import scalarise
 from hydrojax.programs.compiled import program
 from hydrojax.tune import measure, operating_point
@@ -83,27 +82,6 @@ def measured(
     def call(rows):
         return figures(jnp.asarray(rows), jnp.asarray(runs(rows)))
 
-    off, own = compared(plan, given, settle, runs)
-    parted = int(np.sum(own > ALIKE))
-    if parted == len(own):
-        return None, "XLA (in none of its cells can C be held to it)"
-    if (off > np.maximum(ALIKE, OWN * own)).any():
-        return None, f"XLA (C differs from it by up to {off.max():.0e} of a signal)"
-    words = f"C, as XLA to {ALIKE:.0e} in {len(off) - parted} cells"
-    if parted:
-        words += f"; in {parted} more XLA's own runs part when they are nudged"
-    return call, words
-
-
-def compared(
-    plan: Plan, given: measure.Excitation, settle: int, runs: Runs
-) -> tuple[Float[np.ndarray, "some"], Float[np.ndarray, "some"]]:
-    """How far C is from XLA in some cells of a plan.
-
-    Returns:
-        By cell the largest difference over the largest value of its signal; and the
-        same of XLA's own runs whose desired force differs by `NUDGE`.
-    """
     rows = plan.table()
     rows = rows[np.linspace(0, len(rows) - 1, min(CHECKED, len(rows))).astype(int)]
     by_xla = jax.jit(
@@ -117,15 +95,44 @@ def compared(
     theirs, nudged = (
         np.asarray(by_xla(rows, given.shape * by)) for by in (1.0, 1.0 + NUDGE)
     )
+    alike, words = compared(np.moveaxis(runs(rows), -1, 0), theirs, nudged)
+    return (call if alike else None), words
+
+
+def compared(
+    ours: Float[np.ndarray, "cells n signals"],
+    theirs: Float[np.ndarray, "cells n signals"],
+    nudged: Float[np.ndarray, "cells n signals"],
+) -> tuple[bool | None, str]:
+    """Whether C runs cells as XLA does, and in words what is to run them and why.
+
+    None where no cell can tell: a digit that differs grows in all of them.
+
+    Args:
+        ours: signals by C.
+        theirs: the same by XLA.
+        nudged: by XLA, of a desired force that differs by `NUDGE`.
+    """
     size = np.max(np.abs(theirs), axis=1, keepdims=True)
 
     def apart(one: np.ndarray) -> np.ndarray:
+        """By cell the largest difference, over the largest value of its signal."""
         same = (one == theirs) | (np.isnan(one) & np.isnan(theirs))
-        off = np.abs(one - theirs) / np.where(size > 0, size, 1.0)
+        with np.errstate(invalid="ignore", over="ignore"):
+            off = np.abs(one - theirs) / np.where(size > 0, size, 1.0)
         off = np.where(same, 0.0, np.nan_to_num(off, nan=np.inf))
         return np.minimum(off.max((1, 2)), 2.0)  # as far as two runs can be
 
-    return apart(np.moveaxis(runs(rows), -1, 0)), apart(nudged)
+    off, own = apart(ours), apart(nudged)
+    parted = int(np.sum(own > ALIKE))
+    if parted == len(own):
+        return None, "XLA (in none of its cells can C be held to it)"
+    if (off > np.maximum(ALIKE, OWN * own)).any():
+        return False, f"XLA (C differs from it by up to {off.max():.0e} of a signal)"
+    words = f"C, as XLA to {ALIKE:.0e} in {len(off) - parted} cells"
+    if parted:
+        words += f"; in {parted} more XLA's own runs part when they are nudged"
+    return True, words
 
 
 def native_runs(plan: Plan, given: measure.Excitation, settle: int) -> Runs:
@@ -139,36 +146,25 @@ def native_runs(plan: Plan, given: measure.Excitation, settle: int) -> Runs:
     Raises:
         InputError: no C compiler, or a loop with an operation that has no form in C.
     """
-    row = jnp.asarray(plan.table()[0])
+    row = plan.table()[0]
 
     def first(row):
         return operating_point.initial_state(plan.at(row), settle=settle)
 
-    state = jax.eval_shape(first, row)
-    kinds = [leaf.dtype for leaf in jax.tree.leaves(state)]
-    tree = jax.tree.structure(state)
-
-    def as_numbers(carry: Any) -> list[Any]:
-        return [jnp.asarray(a, float) for a in jax.tree.leaves(carry)]
-
-    def step(row, numbers, now):
-        leaves = [a.astype(k) for a, k in zip(numbers, kinds, strict=True)]
-        carry = jax.tree.unflatten(tree, leaves)
-        carry, kept = measure.step_excited(plan.at(row), plan.frozen, carry, now)
-        return as_numbers(carry), kept
+    def step(row, carry, now):
+        return measure.step_excited(plan.at(row), plan.frozen, carry, now)
 
     def begin(row):
-        return jnp.concatenate([a.ravel() for a in as_numbers(first(row))])
+        return flat(first(row))
 
     n = given.shape.size
     t = np.arange(n) * float(plan.setting.loop.h)
     course = np.column_stack([given.shape, given.noise, t])
-    blank = [jnp.zeros(leaf.shape) for leaf in jax.tree.leaves(state)]
+    state = jax.eval_shape(first, row)
     now = (jnp.zeros(()), jnp.zeros(4), jnp.zeros(()))
-    size = sum(a.size for a in blank)
-    alike = [False] * size if settle else _alike(begin, row)
-    made = laned(step, np.asarray(row), blank, now, alike)
-    run = runner(made, "sweep")
+    size = sum(a.size for a in jax.tree.leaves(state))
+    alike = [False] * size if settle else begin_alike(begin, row)
+    run = stepper(step, state, np.asarray(row), now, alike, "sweep")
     started = program(jax.vmap(begin))
 
     def runs(rows):
@@ -179,10 +175,24 @@ def native_runs(plan: Plan, given: measure.Excitation, settle: int) -> Runs:
     return runs
 
 
-def _alike(begin: Callable[..., Any], row: Any) -> list[bool]:
-    """Of the numbers with which a cell begins, which are the same in all."""
-    graph = Graph()
-    given = [graph.given(f"r{i}", DOUBLE, LANE) for i in range(row.size)]
-    (made,) = scalarise(graph, jax.make_jaxpr(begin)(row), [np.array(given)])
+def begin_alike(
+    begin: Callable[..., Float[Array, "numbers"]], row: Any, *shared: Any
+) -> list[bool]:
+    """Of the numbers with which a cell begins, which are the same in all.
+
+    Args:
+        begin: `begin(row, *shared)` gives the numbers.
+        row: what differs between cells.
+        shared: pytrees of what does not.
+    """
+    graph, given = Graph(), []
+    for owner, zone, tree in (("r", LANE, row), ("c", TICK, shared)):
+        for a in jax.tree.leaves(tree):
+            count = len(given)
+            ids = [
+                graph.given(f"{owner}{count}_{i}", DOUBLE, zone) for i in range(a.size)
+            ]
+            given.append(np.array(ids, np.int64).reshape(a.shape))
+    (made,) = scalarise(graph, jax.make_jaxpr(begin)(row, *shared), given)
     zones = graph.zone(graph.live(made.tolist()))
     return [not zones[at] & LANE for at in made.tolist()]

@@ -95,7 +95,9 @@ class Objective:
         self.trials = make_trials(setting)
         settle = round(operating_point.SETTLE / float(setting.loop.h))
         count = (1 + self.groups.max(initial=-1) + 1) * len(self.values)
-        self.programs = Programs(free, self.names, settle, int(count))
+        self.programs = Programs(
+            setting, free, self.names, settle, int(count), self.trials.scenarios
+        )
         # Nowhere 0, so that what a gain of 0 would leave out is among the states.
         gains = np.maximum(1.01 * self.initial(), 1e-4)
         rows = self.rows(gains, (0.0, *SPEEDS))

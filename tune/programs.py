@@ -18,11 +18,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hydrojax.control.loop import Scenario, run
+from hydrojax.errors import InputError
 from hydrojax.jax_setup import cores
 from hydrojax.parameters import put
 from hydrojax.programs.compiled import program
 from hydrojax.rigfile.quantities import Quantity, Setting
-from hydrojax.tune import linearize, operating_point
+from hydrojax.tune import linearize, native, native_trials, operating_point
 
 KEEP = ("true_F", "u")
 """Signals of a run: the output force, N, and the command."""
@@ -52,19 +53,34 @@ class Programs:
     """Operating points, linear systems and runs of rows.
 
     Args:
+        setting: whose runs are made in C, where that can be.
         free: the quantities that change.
         names: of the plant's parameters.
         settle: samples in which a point that is not at rest settles.
         size: rows in a chunk.
+        scenarios: of the runs, stacked.
+
+    Attributes:
+        run_by: in words, what makes the runs of `setting`.
     """
 
     def __init__(
-        self, free: Sequence[Quantity], names: Sequence[str], settle: int, size: int
-    ):
-        self.size = size
+        self, setting: Setting, free: Sequence[Quantity], names: Sequence[str],
+        settle: int, size: int, scenarios: Scenario,
+    ):  # fmt: skip
+        self.size, self.setting = size, setting
+        self.run_by, self._alike = "", None
 
         def place(setting, row):
             return setting_at(setting, free, names, *row)
+
+        def loop_of(numbers):
+            row = numbers[: len(free)], numbers[len(free) :], setting.v
+            return place(setting, row).loop
+
+        self._in_c = native_trials.started(
+            loop_of, np.ones(len(free) + len(names)), scenarios, KEEP
+        )
 
         def settled(setting, row):
             return operating_point.initial_state(place(setting, row), settle=settle)
@@ -105,9 +121,38 @@ class Programs:
 
         The rows' speed is not used: the scenario moves the piston.
         """
+        if setting is self.setting and self._alike is None:
+            self._choose(rows, which, scenarios)
+        if setting is self.setting and self._alike:
+            return self._by_c(rows, which, scenarios)
+        return self._by_xla(setting, rows, which, scenarios)
+
+    def _by_xla(self, setting, rows, which, scenarios):
         return self._chunks(
             lambda r, k: self._run(setting, r, k, scenarios), (rows, which), cores()
         )
+
+    def _by_c(self, rows, which, scenarios):
+        numbers = np.hstack([rows.gains, rows.plant])
+        P_s = np.full_like(scenarios.P_s, self.setting.P_s)
+        return self._in_c.result()(numbers, which, scenarios._replace(P_s=P_s))
+
+    def _choose(self, rows, which, scenarios):
+        """What makes the runs from now on: C, if it makes those of these rows, some
+        `native.CHECKED` of them, as XLA does. Open still where none of them can tell.
+        """
+        first = slice(0, native.CHECKED)
+        rows, which = jax.tree.map(lambda a: a[first], (rows, which))
+        nudged = scenarios._replace(F_d=scenarios.F_d * (1 + native.NUDGE))
+        theirs, parted = (
+            self._by_xla(self.setting, rows, which, s) for s in (scenarios, nudged)
+        )
+        try:
+            ours = self._by_c(rows, which, scenarios)
+        except InputError as reason:
+            self._alike, self.run_by = False, f"XLA ({reason})"
+        else:
+            self._alike, self.run_by = native.compared(ours, theirs, parted)
 
     def _chunks(
         self, work: Callable[..., Any], table: tuple[Any, ...], threads: int = 1

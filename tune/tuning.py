@@ -43,6 +43,7 @@ class Tuning:
         amplitude: at which bands are promised, that of a sine of the same RMS, N; and
             at `SMALL` of it.
         speed: the joint's peak in the runs that move, m/s.
+        run_by: what made the runs, and how C was held to XLA.
         edges: gains at an end of their search range.
         comparison: of models and gains: a title, and metrics of the rig itself.
         notes: remarks.
@@ -64,6 +65,7 @@ class Tuning:
     tolerance: float
     amplitude: float
     speed: float
+    run_by: str
     edges: tuple[str, ...] = ()
     comparison: tuple[tuple[str, dict[str, float | None]], ...] = ()
     notes: tuple[str, ...] = field(default=())
@@ -108,6 +110,7 @@ class Tuning:
             "aim": self.aim.word,
             "tolerance": self.tolerance,
             "amplitudes_N": list(self.amplitudes),
+            "runs": self.run_by,
             "at_edge_of_search": list(self.edges),
             "before": self.proposal.before.figures(0),
             "after": self.proposal.after.figures(0),

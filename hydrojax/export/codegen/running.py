@@ -1,4 +1,4 @@
-"""C in lanes, compiled for this machine, loaded, and run on arrays."""
+"""Steps in lanes: written as C, compiled for this machine, and run on arrays."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import ctypes
 import functools
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from hydrojax.errors import InputError
 from hydrojax.export.codegen.compiler import shared_library
-from hydrojax.export.codegen.lanes import FLAGS, Laned
+from hydrojax.export.codegen.lanes import FLAGS, Laned, laned
 
 Run = Callable[
     [
@@ -26,6 +29,46 @@ Run = Callable[
 ]
 """Runs B instances: their rows, first states, the course of all, and how many threads;
 gives what is kept of each tick, and the last states."""
+
+
+def stepper(
+    step: Callable[[Any, Any, Any], tuple[Any, Any]],
+    state: Any,
+    row: Float[np.ndarray, "numbers"],
+    tick: Any,
+    alike: Sequence[bool],
+    wanted_by: str,
+) -> Run:
+    """What runs a step in C.
+
+    Args:
+        step: `step(row, state, tick)` gives the state and an array of what is kept.
+        state: of one instance, arrays of any kind or their shapes.
+        row: of one instance: what differs between instances.
+        tick: of one tick: what changes from tick to tick.
+        alike: of the numbers of `flat(state)`, whether all instances begin with the
+            same.
+        wanted_by: opens an error's line.
+
+    Raises:
+        InputError: no C compiler, or a step with an operation that has no form in C.
+    """
+    leaves, tree = jax.tree.flatten(state)
+
+    def in_numbers(row, numbers, now):
+        own = [a.astype(b.dtype) for a, b in zip(numbers, leaves, strict=True)]
+        after, kept = step(row, jax.tree.unflatten(tree, own), now)
+        return [jnp.asarray(a, float) for a in jax.tree.leaves(after)], kept
+
+    blank = [jnp.zeros(leaf.shape) for leaf in leaves]
+    return runner(laned(in_numbers, row, blank, tick, alike), wanted_by)
+
+
+def flat(state: Any) -> Float[Array, "numbers"]:
+    """A state as the numbers that `Run` begins with."""
+    return jnp.concatenate(
+        [jnp.asarray(a, float).ravel() for a in jax.tree.leaves(state)]
+    )
 
 
 def runner(made: Laned, wanted_by: str) -> Run:
