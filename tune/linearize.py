@@ -15,6 +15,7 @@ at rest, since L(t) is 1 there; a deadband shows as a loop that is dead.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,6 +27,7 @@ from jaxtyping import Array, Complex, Float
 
 from hydrojax.control.base import AbstractController, Measured
 from hydrojax.control.loop import step_loop
+from hydrojax.jax_setup import cores
 from hydrojax.rigfile.quantities import Setting
 from hydrojax.tune import operating_point
 
@@ -203,10 +205,17 @@ def responses(
     s: System, hertz: Float[np.ndarray, "lines"]
 ) -> Complex[np.ndarray, "rows lines 2 5"]:
     """`frequency_response` of stacked systems of NumPy arrays: nothing is compiled."""
-    z = np.exp(2j * np.pi * hertz * s.h[:, None])
-    away = z[..., None, None] * np.eye(s.A.shape[-1]) - s.A[:, None]
-    inside = np.linalg.solve(away, s.B[:, None].astype(complex))
-    return np.asarray(s.C)[:, None] @ inside + np.asarray(s.D)[:, None]
+
+    def some(s: System) -> Complex[np.ndarray, "rows lines 2 5"]:
+        z = np.exp(2j * np.pi * hertz * s.h[:, None])
+        away = z[..., None, None] * np.eye(s.A.shape[-1]) - s.A[:, None]
+        inside = np.linalg.solve(away, s.B[:, None].astype(complex))
+        return np.asarray(s.C)[:, None] @ inside + np.asarray(s.D)[:, None]
+
+    each = zip(*(np.array_split(np.asarray(a), cores()) for a in s), strict=True)
+    with ThreadPoolExecutor(cores()) as pool:
+        parts = list(pool.map(lambda own: some(System(*own)), each))
+    return np.concatenate(parts)
 
 
 def reduced(s: System, states: States) -> System:

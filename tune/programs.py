@@ -78,10 +78,6 @@ class Programs:
             row = numbers[: len(free)], numbers[len(free) :], setting.v
             return place(setting, row).loop
 
-        self._in_c = native_trials.started(
-            loop_of, np.ones(len(free) + len(names)), scenarios, KEEP
-        )
-
         def settled(setting, row):
             return operating_point.initial_state(place(setting, row), settle=settle)
 
@@ -98,6 +94,14 @@ class Programs:
         self._settled = program(jax.vmap(settled, in_axes=over))
         self._linear = program(jax.vmap(linear, in_axes=(None, 0, 0)))
         self._run = jax.jit(jax.vmap(simulated, in_axes=(None, 0, 0, None)))
+
+        # It compiles while the main thread has other programs made.
+        row = np.ones(len(free) + len(names))
+        pool = ThreadPoolExecutor(1)
+        self._in_c = pool.submit(
+            native_trials.trial_runs, loop_of, row, scenarios, KEEP
+        )
+        pool.shutdown(wait=False)
 
     def settle(self, setting: Setting, rows: Rows) -> Any:
         """The memory of each row at its operating point."""
@@ -129,7 +133,7 @@ class Programs:
 
     def _by_xla(self, setting, rows, which, scenarios):
         return self._chunks(
-            lambda r, k: self._run(setting, r, k, scenarios), (rows, which), cores()
+            lambda r, k: self._run(setting, r, k, scenarios), (rows, which)
         )
 
     def _by_c(self, rows, which, scenarios):
@@ -154,9 +158,7 @@ class Programs:
         else:
             self._alike, self.run_by = native.compared(ours, theirs, parted)
 
-    def _chunks(
-        self, work: Callable[..., Any], table: tuple[Any, ...], threads: int = 1
-    ) -> Any:
+    def _chunks(self, work: Callable[..., Any], table: tuple[Any, ...]) -> Any:
         table = jax.tree.map(np.asarray, table)
         count = jax.tree.leaves(table)[0].shape[0]
 
@@ -166,7 +168,7 @@ class Programs:
             done = jax.tree.map(np.asarray, work(*part))
             return jax.tree.map(lambda a: a[: min(self.size, count - start)], done)
 
-        with ThreadPoolExecutor(threads) as pool:
+        with ThreadPoolExecutor(cores()) as pool:
             out = list(pool.map(chunk, range(0, count, self.size)))
         return jax.tree.map(lambda *a: np.concatenate(a), *out)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from hydrojax.jax_setup import cores
 from hydrojax.programs.compiled import program
 from hydrojax.tune import linearize, metrics, trials
 from hydrojax.tune.aims import TOLERANCE
@@ -157,10 +159,12 @@ def run_trials(
     which = np.repeat(np.arange(k), count)
     table = objective.programs.runs(objective.setting, joined, which, t.scenarios)
     table = table.reshape(k, len(proposals), m, *table.shape[1:])
-    return [
-        _tried(objective, g, table[:, i], most, tolerance)
-        for i, g in enumerate(proposals)
-    ]
+
+    def one(i: int) -> Tried:
+        return _tried(objective, proposals[i], table[:, i], most, tolerance)
+
+    with ThreadPoolExecutor(cores()) as pool:
+        return list(pool.map(one, range(len(proposals))))
 
 
 bands = program(
