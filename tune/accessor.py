@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -15,35 +16,47 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def _best(data: xr.Dataset) -> list[tuple[str, xr.Dataset | None]]:
-    """By each way the cell that is widest within 1 dB; None where none is stable."""
-    from hydrojax.tune.selection import axes_of, methods_of, nominal
+def _widest(data: xr.Dataset, way: str, most: float = math.inf) -> xr.Dataset | None:
+    """The cell that is widest within 1 dB among those with a peak of `most` dB at most;
+    None where there is none.
+    """
+    from hydrojax.tune.selection import axes_of, nominal
 
-    flat, out = nominal(data), []
-    for way in methods_of(data):
-        band = flat[f"{way}_within_1dB"]
-        known = bool(band.notnull().any())
-        out.append((way, flat.isel(band.argmax(dim=axes_of(data))) if known else None))
-    return out
+    flat = nominal(data)
+    band = flat[f"{way}_within_1dB"].where(flat[f"{way}_peak"] <= most)
+    if not bool(band.notnull().any()):
+        return None
+    return flat.isel(band.argmax(dim=axes_of(data)))
 
 
 def sentences(data: xr.Dataset) -> list[str]:
-    """The result of a sweep in words, one line for each way."""
-    from hydrojax.tune.selection import axes_of
+    """The result of a sweep in words, one line for each way.
 
-    said = []
-    for way, best in _best(data):
+    A band may be wide beside a high resonance, so that where the peak of the widest is
+    beyond what `tune` allows, the widest of those within it is said, too.
+    """
+    from hydrojax.tune.aims import Limits
+    from hydrojax.tune.selection import axes_of, methods_of
+
+    def said_of(cell: xr.Dataset, way: str) -> str:
+        where = ", ".join(f"{n} = {float(cell[n]):.4g}" for n in axes_of(data))
+        return f"{float(cell[f'{way}_within_1dB']):.1f} Hz at {where}"
+
+    said, most = [], Limits().peak_dB
+    for way in methods_of(data):
+        best = _widest(data, way)
         if best is None:
             said.append(f"{way}: no cell is stable")
             continue
-        where = ", ".join(f"{n} = {float(best[n]):.4g}" for n in axes_of(data))
-        band, peak = (float(best[f"{way}_{k}"]) for k in ("within_1dB", "peak"))
-        said.append(
-            f"{way}: widest band within 1 dB {band:.1f} Hz at {where}, "
-            f"peak {peak:.1f} dB"
-        )
+        peak = float(best[f"{way}_peak"])
+        words = f"{way}: widest band within 1 dB {said_of(best, way)}, "
+        words += f"peak {peak:.1f} dB"
+        if peak > most:
+            other = _widest(data, way, most)
+            words += f"; with a peak of at most {most:g} dB: "
+            words += "none" if other is None else said_of(other, way)
         by = data.attrs.get(f"{way}_runs", "XLA")
-        said[-1] += "" if by == "XLA" else f"; run by {by}"
+        said.append(words if by == "XLA" else f"{words}; run by {by}")
     return said
 
 

@@ -11,6 +11,7 @@ from hydrojax.report import markup
 from hydrojax.report.text import in_picture
 from hydrojax.tune.optimize import TIGHT
 from hydrojax.tune.tuning import Tuning
+from hydrojax.tune.verification import Tried
 
 PLAYS = ("valve_hysteresis", "backlash")
 """Effects that hold back a small signal whole, so that a loop is open at rest."""
@@ -47,18 +48,42 @@ def show(value: Any, unit: str) -> str:
     return f"{value:{digits}} {unit}".replace("-", "−").rstrip()
 
 
+def states(t: Tuning) -> tuple[tuple[str, Tried, dict[str, Any]], ...]:
+    """What a tuning compares: a word, its runs, its metrics. Gains for which nothing
+    better was found stand alone.
+    """
+    if t.obstacles:
+        return (("as it is", t.proposal.before, t.before),)
+    return (
+        ("before", t.proposal.before, t.before),
+        ("after", t.proposal.after, t.after),
+    )
+
+
+def gains_table(t: Tuning) -> list[tuple[str, ...]]:
+    """The gains in each of the states, under their heads."""
+    words = [word for word, *_ in states(t)]
+    values = (t.start, t.gains)[: len(words)]
+    rows = [
+        (name, *(f"{v[name]:.4g}" for v in values), t.units[name]) for name in t.gains
+    ]
+    return [("gain", *words, "unit"), *rows]
+
+
 def metrics_table(t: Tuning) -> list[tuple[str, ...]]:
-    """Before and after, the rig's and the worst plant's."""
-    out = []
+    """Figures of the rig itself and of the worst plant in each of the states, under
+    their heads.
+    """
+    out = [("", *(head for word, *_ in states(t) for head in (word, "worst plant")))]
     for title, name, unit, worst in MEASURED:
         cells = []
-        for tried in (t.proposal.before, t.proposal.after):
+        for _, tried, _ in states(t):
             values = getattr(tried, name)
             cells += [show(values[0], unit), show(worst(values), unit)]
         out.append((title, *cells))
     for title, name, unit, factor, worst in ROWS:
         cells = []
-        for found in (t.before, t.after):
+        for *_, found in states(t):
             values = np.asarray(found[name]) * factor
             cells.append(show(values[0], unit))
             cells.append(
@@ -135,29 +160,24 @@ def _oscillating(t: Tuning) -> int:
 
 def summary(t: Tuning) -> str:
     """Gains, metrics before and after, and what limits the loop, as plain text."""
-    gains = [
-        (name, f"{t.start[name]:.4g}", f"{value:.4g}", t.units[name])
-        for name, value in t.gains.items()
-    ]
-    heads = ("", "before", "worst plant", "after", "worst plant")
     parts = [
         f"{t.name}: {sentence(t)}",
-        _columns(("gain", "before", "after", "unit"), gains),
-        _columns(heads, metrics_table(t)),
+        _columns(gains_table(t)),
+        _columns(metrics_table(t)),
         limit(t),
     ]
     return "\n\n".join((*parts, *t.notes))
 
 
-def _columns(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+def _columns(table: list[tuple[str, ...]]) -> str:
     """Rows under their heads, the first column to the left, the others to the right."""
-    wide = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+    wide = [max(map(len, column)) for column in zip(*table, strict=True)]
     return "\n".join(
         "  ".join(
             cell.rjust(n) if i else cell.ljust(n)
             for i, (cell, n) in enumerate(zip(row, wide, strict=True))
         ).rstrip()
-        for row in (heads, *rows)
+        for row in table
     )
 
 
@@ -187,13 +207,10 @@ def ends(t: Tuning) -> list[str]:
 
 
 def bode_figure(t: Tuning) -> Figure:
-    """Gain and phase before and after, with the ensemble's range."""
+    """Gain and phase in each of the states, with the ensemble's range."""
     fig = Figure(figsize=(8.0, 6.2), layout="constrained")
     top, bottom = fig.subplots(2, 1, sharex=True)
-    for found, colour, label in (
-        (t.before, _BEFORE, "before"),
-        (t.after, _AFTER, "after"),
-    ):
+    for (label, _, found), colour in zip(states(t), (_BEFORE, _AFTER), strict=False):
         stable = np.asarray(found["radius"]) < 1
         H = np.asarray(found["response"])
         dB = 20 * np.log10(np.maximum(np.abs(H), 1e-9))
@@ -248,7 +265,7 @@ def front_figure(t: Tuning) -> Figure:
         ("noise", "force by the sensors' noise (N RMS)", "log"),
     )
     now, was = t.proposal.after, t.proposal.before
-    marks = [(was, "s", _BEFORE, "before")]
+    marks = [(was, "s", _BEFORE, states(t)[0][0])]
     if not t.obstacles:
         marks.append((now, "o", _AFTER, "chosen"))
     for ax, (name, says, scale) in zip(fig.subplots(1, 3), panels, strict=True):
@@ -284,19 +301,15 @@ def front_figure(t: Tuning) -> Figure:
 
 def html(t: Tuning) -> str:
     """Gains, metrics before and after, and what limits it: what a notebook shows."""
-    gains = [
-        (name, f"{t.start[name]:.4g}", f"{value:.4g}", t.units[name])
-        for name, value in t.gains.items()
-    ]
     limits = [
         (r.what, show(r.band, "Hz"), f"{100 * r.gain:+.0f} %".replace("-", "−"))
         for r in t.relaxed
     ]
     return markup.block(
         markup.paragraph(sentence(t), f"{t.name}:"),
-        markup.table(("gain", "before", "after", "unit"), gains),
-        markup.table(
-            ("", "before", "worst plant", "after", "worst plant"), metrics_table(t)
+        *(
+            markup.table(head, rows)
+            for head, *rows in (gains_table(t), metrics_table(t))
         ),
         markup.paragraph(limit(t)),
         markup.table(("without", "within 1 dB, worst plant", ""), limits),

@@ -275,10 +275,10 @@ def _print(tuned: Tuned) -> None:
 
     console.print(display.sentence(tuned))
     if not tuned.obstacles:
-        table = Table("gain", "before", "after", "unit")
-        for name, value in tuned.gains.items():
-            start = tuned.start[name]
-            table.add_row(name, f"{start:.4g}", f"{value:.4g}", tuned.units[name])
+        heads, *rows = display.gains_table(tuned)
+        table = Table(*heads)
+        for row in rows:
+            table.add_row(*row)
         console.print(table)
     console.print(display.limit(tuned))
     for line in tuned.notes:

@@ -508,6 +508,23 @@ def test_a_tuning_in_a_notebook(tmp_path):
     assert made.controller["k_f"] == "3.2 V/kN" == one.rig.controller["k_f"]
 
 
+def test_gains_for_which_nothing_better_was_found_stand_alone(tmp_path):
+    """Nowhere the same figures twice, as before and as after."""
+    one = tuned()
+    was = one.proposal.before
+    same = replace(one.proposal, after=was, obstacles=("unstable on 3 of 3 plants",))
+    kept = replace(one, gains=one.start, after=one.before, proposal=same)
+    rows = {line.split("  ")[0]: line.split() for line in kept.summary().splitlines()}
+    assert rows["k_f"] == ["k_f", "2.4", "V/kN"]
+    assert rows["Peak"] == ["Peak", "4", "dB", "5", "dB"]
+    kept.save(tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "As it is" in page and "<th>After" not in page and ">Before" not in page
+    assert page.count('<td class="n">2.4</td>') == 1
+    (top, _) = kept.plot("bode").axes
+    assert [line.get_label() for line in top.get_legend().get_lines()] == ["as it is"]
+
+
 @pytest.mark.slow
 def test_the_command_on_a_trace_s_folder(tmp_path, monkeypatch, capsys):
     """A leak that trace added: the promise without it, with it, and gains for it."""
