@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from hydrojax.effects import EFFECTS
 from hydrojax.export.codegen import compiler
 from hydrojax.paper.records import reference
-from hydrojax.parameters import parameter_specs
+from hydrojax.parameters import param, parameter_specs
+from hydrojax.plant.effect import ForceEffect
 from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.tune import measure, native, plan, sweep
 from hydrojax.tune.axes import make_axes
@@ -82,24 +84,32 @@ def test_a_plant_that_differs_and_moves():
     assert_alike(plan_of(axes, frozen=True))
 
 
-ROD = ("backlash", "rod_compliance")
-"""Effects that solve for the piston's own motion in a loop."""
+class Odd(ForceEffect):
+    """Friction with an operation that has no form in C."""
+
+    name = "odd"
+    residual_axis = "v"
+    f: jax.Array = param("N", 1.0, -10.0, 10.0, "force", strength=True, size=1.0)
+
+    def force(self, at):
+        """What it adds, N."""
+        return self.f * jnp.fft.rfft(jnp.stack([at.v, at.x, at.v])).real[0]
 
 
-@pytest.mark.parametrize("name", ROD)
-def test_what_has_no_form_is_left_to_xla(name, monkeypatch):
+def test_what_has_no_form_is_left_to_xla(vocabulary, monkeypatch):
     monkeypatch.setattr(native, "WORTH", 0)
-    made = plan_of({"k_p": [0.5, 1.0]}, replace(SPEC, effects={name: {}}))
+    vocabulary["odd"] = Odd
+    made = plan_of({"k_p": [0.5, 1.0]}, replace(SPEC, effects={"odd": {}}))
     call, words = native.measured(made, made.excitations["multisine"], 0)
     assert call is None
-    assert words == "XLA (c: a loop of many rounds has no form in lanes)"
+    assert words.startswith("XLA (c: the operation 'fft' has no form in C")
 
 
 @needs_compiler
 @pytest.mark.slow
 def test_every_effect():
     """A rig with all of the catalogue; each plant has one of them in it."""
-    spec = replace(SPEC, effects={name: {} for name in EFFECTS if name not in ROD})
+    spec = replace(SPEC, effects={name: {} for name in EFFECTS})
     known = parameter_specs(open_setting(spec).loop.rig)
     strong = [n for n, s in known.items() if s.strength]
     values = np.diag([known[n].scale for n in strong])

@@ -157,11 +157,11 @@ class Block:
         self._line(f"for ({rounds}) {{")
         self._indent += 1
         if loop.go is not None:
-            self._inner(loop.scope, [loop.go])
+            self.inner(loop.scope, [loop.go])
             self._line(f"if (!{self.name(loop.go)}) {{")
             self._line("    break;")
             self._line("}")
-        self._inner(loop.scope, loop.results)
+        self.inner(loop.scope, loop.results)
         news = list(zip(loop.carried, map(self.name, loop.results), strict=True))
         moved = {self.names[at] for at, _ in news}
         for at, new in news:  # a value that another takes over is kept first
@@ -174,7 +174,8 @@ class Block:
         self._indent -= 1
         self._line("}")
 
-    def _inner(self, scope: int, wanted: Iterable[int]) -> None:
+    def inner(self, scope: int, wanted: Iterable[int]) -> None:
+        """Add what `wanted` rests on in a loop, of its own operations."""
         for at in self._missing(wanted):
             if self.graph.nodes[at].scope == scope:
                 self._add(at)

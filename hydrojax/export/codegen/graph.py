@@ -134,6 +134,19 @@ class Graph:
                 todo += [] if loop.go is None else [loop.go]
         return sorted(seen)
 
+    def outside(self, at: int) -> list[int]:
+        """What a loop takes from outside of all loops: its first values, and what is
+        read in it.
+        """
+        loop = self.nodes[at].value
+        wanted = [*loop.results, *([] if loop.go is None else [loop.go])]
+        inner = (
+            i for i in self.live(wanted) if self.within(self.nodes[i].scope, loop.scope)
+        )
+        read = [*wanted, *(a for i in inner for a in self.nodes[i].args)]
+        read = [a for a in read if not self.nodes[a].scope]
+        return list(dict.fromkeys([*self.nodes[at].args, *read]))
+
     def zone(self, order: Iterable[int]) -> dict[int, int]:
         """On what each of the nodes outside of loops depends; `order` as of `live`."""
         order = list(order)
@@ -142,16 +155,7 @@ class Graph:
             node = self.nodes[at]
             if node.scope:
                 continue
-            args = list(node.args)
-            if node.op == "loop":
-                inner = (
-                    self.nodes[i]
-                    for i in order
-                    if self.within(self.nodes[i].scope, node.value.scope)
-                )
-                args += [
-                    a for n in inner for a in n.args if not self.nodes[a].scope
-                ] + [r for r in node.value.results if not self.nodes[r].scope]
+            args = self.outside(at) if node.op == "loop" else node.args
             zone = self.zones.get(at, PARAMETER)
             for a in args:
                 zone |= out[a]

@@ -15,7 +15,6 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.errors import InputError
 from hydrojax.export.codegen.emit import Block, helpers
 from hydrojax.export.codegen.graph import DOUBLE, INT, LANE, TICK, Graph
 from hydrojax.export.codegen.scalarise import scalarise
@@ -99,8 +98,6 @@ class _Writer:
         for at, same in zip(before, alike, strict=True):
             graph.zones[at] = TICK if same else TICK | LANE
         self.zones = self._settled_zones()
-        if any(graph.nodes[at].op == "loop" for at in self.zones):
-            raise InputError("c: a loop of many rounds has no form in lanes")
 
     def _needed(self, ends: Sequence[int]) -> list[int]:
         """Numbers of the state on which what is kept rests."""
@@ -140,6 +137,8 @@ class _Writer:
             if z == TICK | LANE and graph.nodes[at].op != "given"
         ]
         used = {a for at in both for a in graph.nodes[at].args}
+        loops = (at for at in both if graph.nodes[at].op == "loop")
+        used |= {a for at in loops for a in graph.outside(at)}
         ends = [*self.kept, *(self.after[i] for i in self.needed)]
         used |= set(ends)
         of_tick = sorted(a for a in used if zones.get(a) == TICK)

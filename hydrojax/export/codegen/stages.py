@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hydrojax.export.codegen.emit import literal
+from hydrojax.export.codegen.emit import Block, literal
 from hydrojax.export.codegen.graph import BOOL, DOUBLE, Graph, Node
 from hydrojax.export.codegen.operations import C99
 
@@ -22,21 +22,22 @@ class Stages:
 
     def cut(self, states: Sequence[tuple[int, str]], kept: Sequence[int]) -> None:
         """Write all stages; `states` are the nodes that become state, by its name."""
-        graph = self.graph
-        heavy = [at for at in self.order if graph.nodes[at].kind == DOUBLE]
-        stages = [heavy[i : i + STAGE] for i in range(0, len(heavy), STAGE)]
+        stages = self._stages()
         where = {at: i for i, stage in enumerate(stages) for at in stage}
         last: dict[int, int] = {}
-        for at in heavy:
+        for at in where:
             for a in self._numbers(at):
                 last[a] = max(last.get(a, 0), where[at])
         for at in [*kept, *(at for at, _ in states)]:
             last[at] = len(stages)
-        arrays = [at for at in heavy if last.get(at, 0) > where[at]]
+        arrays = [at for at in where if last.get(at, 0) > where[at]]
         self.lines += [f"            ROW(a{at});" for at in arrays]
         stored = set(arrays)
         for stage in stages:
-            self._stage(stage, stored)
+            if self.graph.nodes[stage[0]].op == "loop":
+                self._loop(stage, stored)
+            else:
+                self._stage(stage, stored)
         news = [
             f"                const double n{name} = {self._read(at, {})};"
             for at, name in states
@@ -50,11 +51,29 @@ class Stages:
         self.lines += [*out, "            }"]
         self.lines += ["            OVER(k) {", *news, "            }"]
 
+    def _stages(self) -> list[list[int]]:
+        """The operations of each stage; a loop is one of its own, with its results."""
+        nodes, out = self.graph.nodes, [[]]
+        for at in self.order:
+            op = nodes[at].op
+            if op == "loop":
+                out += [[at], []]
+            elif op == "result":
+                next(s for s in out if s[:1] == [nodes[at].args[0]]).append(at)
+            elif nodes[at].kind == DOUBLE:
+                if len(out[-1]) == STAGE:
+                    out.append([])
+                out[-1].append(at)
+        return [stage for stage in out if stage]
+
     def _numbers(self, at: int) -> list[int]:
         """What an operation rests on that is stored: not comparisons, but theirs."""
-        out = []
-        for a in self.graph.nodes[at].args:
-            if self.graph.nodes[a].kind != DOUBLE and a not in self.names:
+        out, node = [], self.graph.nodes[at]
+        for a in self.graph.outside(at) if node.op == "loop" else node.args:
+            own = self.graph.nodes[a]
+            if own.op == "loop":
+                continue
+            if own.kind != DOUBLE and own.op != "result" and a not in self.names:
                 out += self._numbers(a)
             else:
                 out.append(a)
@@ -68,6 +87,8 @@ class Stages:
             return own[at]
         if at in self.names:
             name = self.names[at]
+            if node.op == "result" and node.kind not in (BOOL, DOUBLE):
+                return f"(int64_t){name}"
             return f"({name} != 0.0)" if node.kind == BOOL else name
         if node.kind != DOUBLE:  # made again in each stage: cheaper than kept
             return f"({self._text(node, own)})"
@@ -109,3 +130,82 @@ class Stages:
                 self.lines.append(f"                a{at}[k] = v{at};")
                 self.names[at] = f"a{at}[k]"
         self.lines.append("            }}")
+
+    def _loop(self, stage: list[int], stored: set[int]) -> None:
+        """A loop and its results. Rounds that all lanes take are taken side by side;
+        where each lane goes on as long as it wants, it does so by itself.
+        """
+        at, *results = stage
+        graph = self.graph
+        loop = graph.nodes[at].value
+        results = [r for r in results if r in stored]
+        known = {a: self._read(a, {}) for a in self.graph.outside(at)}
+        self.lines.append("            {")
+        nested = any(graph.nodes[i].op == "loop" for i in graph.live(loop.results))
+        if loop.go is None and not nested:
+            rows = self._rounds(at, known, [graph.nodes[r].value for r in results])
+            names = {r: f"{rows[graph.nodes[r].value]}[k]" for r in results}
+            self.lines.append("            OVER(k) {")
+        else:
+            block = Block(graph, known, 4)
+            block.make(stage)
+            names = {r: block.name(r) for r in results}
+            self.lines += ["            OVER(k) {", *block.lines]
+        self.lines += [f"                a{r}[k] = {names[r]};" for r in results]
+        self.lines.append("            }}")
+        self.names |= {r: f"a{r}[k]" for r in results}
+
+    def _rounds(
+        self, at: int, known: dict[int, str], wanted: list[int]
+    ) -> dict[int, str]:
+        """Write a loop's rounds, each over all lanes.
+
+        Args:
+            at: the loop.
+            known: what is called how outside of it.
+            wanted: places of the results that are.
+
+        Returns:
+            The arrays of what is carried on from round to round for their sake, by its
+            place: a counter that only counts is none of them.
+        """
+        graph = self.graph
+        starts, loop = graph.nodes[at].args, graph.nodes[at].value
+        while True:
+            behind = set(graph.live(loop.results[i] for i in wanted))
+            more = [i for i, c in enumerate(loop.carried) if c in behind]
+            if set(more) <= set(wanted):
+                break
+            wanted = sorted({*wanted, *more})
+        rows = {i: f"c{loop.carried[i]}" for i in wanted}
+        inside, takes = dict(known), []
+        for a, name in known.items():
+            node = graph.nodes[a]
+            if a in behind and node.kind == DOUBLE and node.op != "const":
+                takes.append(f"                    const double x{a} = {name};")
+                inside[a] = f"x{a}"
+        for i, name in rows.items():
+            kind = graph.nodes[loop.carried[i]].kind
+            cast = "" if kind == DOUBLE else f"({kind})"
+            inside[loop.carried[i]] = f"({cast}{name}[k])"
+        block = Block(graph, inside, 5)
+        block.inner(loop.scope, [loop.results[i] for i in wanted])
+        out = [f"            ROW({name});" for name in rows.values()]
+        out.append("            OVER(k) {")
+        out += [
+            f"                {n}[k] = {known[starts[i]]};" for i, n in rows.items()
+        ]
+        out += [
+            "            }",
+            f"            for (int i = 0; i < {loop.count}; i++) {{",
+            "                OVER(k) {",
+            *takes,
+            *block.lines,
+        ]
+        news = {name: block.name(loop.results[i]) for i, name in rows.items()}
+        out += [
+            f"                    const double n{n} = {v};" for n, v in news.items()
+        ]
+        out += [f"                    {n}[k] = n{n};" for n in news]
+        self.lines += [*out, "                }", "            }"]
+        return rows
