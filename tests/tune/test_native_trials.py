@@ -111,6 +111,7 @@ def test_it_stays_open_until_a_run_can_tell():
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_a_loop_of_many_rounds_is_as_xla_has_it():
     """A rod that gives: each substep solves for the piston's own motion."""
     made, scenarios = programs_of(replace(SPEC, effects={"rod_compliance": {}}))
