@@ -15,6 +15,7 @@ from hydrojax.identify.result import Result
 from hydrojax.identify.results.summary import with_inputs
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.jax_setup import ensure_jax
+from hydrojax.rigfile.build import build_loop
 from hydrojax.rigfile.schema import RigFile
 
 Progress = Callable[[str], None]
@@ -37,7 +38,8 @@ def fit(
 
     Args:
         rig: a `RigFile`, or the path of one; what has a range in it is fitted.
-        logs: to be fitted: each a `Log`, a path, or a DataFrame (`Log.from_frame`).
+        logs: to be fitted: each a `Log`, a path, or a DataFrame or dict of
+            columns (`Log.from_frame`).
         validate: logs that take no part in the fit; errors and verdict are theirs.
             Without any they are those of the fitted logs.
         test: logs that take part in no decision; errors are then theirs.
@@ -50,8 +52,14 @@ def fit(
     Raises:
         InputError: whatever is wrong with rig or logs, in one line.
     """
+    _check_starts(starts)
     case = _opened(rig, logs, validate, test, horizon, criteria)
     return Result(api.identify(case, starts, progress, profile), case)
+
+
+def _check_starts(starts: int) -> None:
+    if starts < 1:
+        raise InputError(f"starts {starts}: a fit begins at one point at least")
 
 
 def trace(
@@ -74,7 +82,8 @@ def trace(
 
     Args:
         rig: a `RigFile`, or the path of one; what has a range in it is fitted.
-        logs: to be fitted: each a `Log`, a path, or a DataFrame (`Log.from_frame`).
+        logs: to be fitted: each a `Log`, a path, or a DataFrame or dict of
+            columns (`Log.from_frame`).
         validate: logs that take no part in the fit, on which effects are judged.
         test: logs that take part in no decision; errors are then theirs.
         criteria: the thresholds by which it is decided.
@@ -88,6 +97,7 @@ def trace(
     Raises:
         InputError: whatever is wrong with rig or logs, in one line.
     """
+    _check_starts(starts)
     case = _opened(rig, logs, validate, test, horizon, criteria)
     outcome = api.trace_case(
         case, starts, progress, profile, lambda mended, now: early(Result(now, mended))
@@ -160,7 +170,8 @@ def check(rig: RigSource, logs: Sequence[LogSource]) -> Checked:
 
     Args:
         rig: a `RigFile`, or the path of one.
-        logs: recorded on it: each a `Log`, a path, or a DataFrame (`Log.from_frame`).
+        logs: recorded on it: each a `Log`, a path, or a DataFrame or dict of
+            columns (`Log.from_frame`).
 
     Raises:
         InputError: whatever cannot be read of rig or logs, in one line.
@@ -169,6 +180,8 @@ def check(rig: RigSource, logs: Sequence[LogSource]) -> Checked:
     spec = rig if isinstance(rig, RigFile) else RigFile.load(rig)
     if not logs:
         raise InputError(f"{spec.path}: no log to check: name at least one")
+    if spec.controller:
+        build_loop(spec)  # which refuses what [controller] cannot be
     return check_inputs(spec, [read(log, spec) for log in logs])
 
 

@@ -153,12 +153,20 @@ def split(text: object, where: str) -> tuple[float, str]:
         text = shown(text)
     short = text if isinstance(text, str) and len(text) <= 2 * WORD else ""
     match = _QUANTITY.fullmatch(short)
+    if re.match(r"\s*[-+]?\d+,\d", short):
+        raise InputError(
+            f"{where}: {shown(text)} has a comma in its number; write a point"
+        )
     if match is None or not math.isfinite(float(match[1])):
         raise InputError(
             f"{where}: {shown(text)} is not a quantity; write a finite number and its "
             'unit, such as "8e8 Pa"'
         )
     return float(match[1]), match[2]
+
+
+LARGEST = 1e30
+"""Of no quantity of a rig in SI a number is larger: no power of it overflows."""
 
 
 def quantity(text: object, want: str, where: str) -> float:
@@ -176,7 +184,12 @@ def quantity(text: object, want: str, where: str) -> float:
     value, unit = split(text, where)
     if not unit and ("rad" in want or not fits("1", want)):
         raise InputError(f'{where}: {text!r} has no unit; write "{value:g} {want}"')
-    return to_si(value, unit or "1", want, where)
+    size = to_si(value, unit or "1", want, where)
+    if abs(size) > LARGEST:
+        raise InputError(
+            f"{where}: {text!r} is larger than anything measured; look at its exponent"
+        )
+    return size
 
 
 def shown(value: object) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,7 +15,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from hydrojax.effects import EFFECTS
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, one_line
 from hydrojax.identify.preparation.data import Data, driver, prepare_logs, runs_backward
 from hydrojax.identify.preparation.noise import channel_noise
 from hydrojax.identify.preparation.resolution import NoiseBy, resolve
@@ -30,8 +32,9 @@ from hydrojax.rigfile.schema import RigFile
 RigSource = str | Path | RigFile
 """A rig file by its path, or one that is read already."""
 
-LogSource = str | Path | Log | pd.DataFrame
-"""A log by its path, one that is read already, or a table; see `Log.from_frame`."""
+LogSource = str | Path | Log | pd.DataFrame | Mapping[str, Any]
+"""A log by its path, one that is read already, or a table (a dict of columns is one);
+see `Log.from_frame`."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +205,8 @@ def read(log: LogSource, spec: RigFile) -> Log:
 
     Raises:
         InputError: see `Log.load`; or a `Log` that was read without the rig file's
-            [channels], so that signals may be missing or have the other sign.
+            [channels], so that signals may be missing or have the other sign; or what
+            is no log.
     """
     if isinstance(log, Log):
         applied = spec.channels if log.channels is None else log.channels
@@ -214,8 +218,18 @@ def read(log: LogSource, spec: RigFile) -> Log:
                 "of the Log"
             )
         return log
+    if isinstance(log, Mapping):
+        try:
+            log = pd.DataFrame(log)
+        except ValueError as reason:  # columns of several lengths
+            raise InputError(f"log: {one_line(str(reason))}") from reason
     if isinstance(log, pd.DataFrame):
         return Log.from_frame(log, channels=spec.channels)
+    if not isinstance(log, (str, os.PathLike)):
+        raise InputError(
+            f"log: a {type(log).__name__} is not one; give a path, a DataFrame, a dict "
+            "of columns (both with units in their names, as 'time [s]'), or a Log"
+        )
     return Log.load(log, spec.channels)
 
 

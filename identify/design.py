@@ -19,7 +19,7 @@ from scipy import optimize
 
 from hydrojax.control.loop import Loop, Scenario, run
 from hydrojax.effects import EFFECTS
-from hydrojax.errors import InputError
+from hydrojax.errors import InputError, check_known
 from hydrojax.identify.estimation.columns import ParametricRig
 from hydrojax.identify.estimation.known import Free, free_parameters
 from hydrojax.identify.experiment import (
@@ -88,11 +88,9 @@ def design(
     Raises:
         InputError: no parameter has a range, an unknown effect, or no noise given.
     """
-    for name in separate:
-        if name not in EFFECTS:
-            raise InputError(
-                f"--separate {name!r}: known effects: {', '.join(EFFECTS)}"
-            )
+    check_known("--separate:", separate, EFFECTS, "effect")
+    if len(separate) != len(set(separate)):
+        raise InputError(f"--separate {' '.join(separate)}: name two different effects")
     problem = design_problem(spec, limits, separate, seed)
     start = np.zeros(len(FORCE_HZ) + len(MOTION_HZ))
     best = _minimised(problem, start, steps, progress)

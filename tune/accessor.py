@@ -40,7 +40,9 @@ def sentences(data: xr.Dataset) -> list[str]:
 
     def said_of(cell: xr.Dataset, way: str) -> str:
         where = ", ".join(f"{n} = {float(cell[n]):.4g}" for n in axes_of(data))
-        return f"{float(cell[f'{way}_within_1dB']):.1f} Hz at {where}"
+        ends = [n for n in axes_of(data) if _at_end(data[n], float(cell[n]))]
+        words = f"{float(cell[f'{way}_within_1dB']):.1f} Hz at {where}"
+        return words + (f" (at an end of {' and '.join(ends)})" if ends else "")
 
     said, most = [], Limits().peak_dB
     for way in methods_of(data):
@@ -58,6 +60,11 @@ def sentences(data: xr.Dataset) -> list[str]:
         by = data.attrs.get(f"{way}_runs", "XLA")
         said.append(words if by == "XLA" else f"{words}; run by {by}")
     return said
+
+
+def _at_end(axis: xr.DataArray, value: float) -> bool:
+    """Whether a value is the first or the last of an axis of three or more."""
+    return axis.size > 2 and value in (float(axis[0]), float(axis[-1]))
 
 
 def axis_row(axis: xr.DataArray) -> tuple[str, ...]:

@@ -109,7 +109,7 @@ def show_stages(console: Console, quiet: bool) -> Iterator[Callable[[str], None]
                TimeElapsedColumn(), left)  # fmt: skip
     end = compiling.listen()
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("read the logs")
+        task = bar.add_task("read the files")
 
         def enter(what: str) -> None:
             seen.append((what, time.monotonic() - began))

@@ -86,7 +86,11 @@ Aim = Annotated[
 ]
 Tolerance = Annotated[
     float,
-    typer.Option(help="Tolerance on |1 - F/F_d| in the band that follows.", min=0.01),
+    typer.Option(
+        help="Tolerance on |1 - F/F_d| in the band that follows; 1 is no force at all.",
+        min=0.01,
+        max=0.9,
+    ),
 ]
 Peak = Annotated[float, typer.Option(help="Limit on the resonance peak, dB.", min=0.1)]
 Margin = Annotated[

@@ -58,6 +58,15 @@ class AbstractMotion(abc.ABC):
         return math.inf
 
 
+def _below_half(says: str, hertz: float, h: float) -> None:
+    """Refuse what no samples every h seconds can show."""
+    if hertz >= 0.5 / h:
+        raise InputError(
+            f"{says} {hertz:g} Hz: expected less than half the sampling rate, "
+            f"{0.5 / h:g} Hz"
+        )
+
+
 @dataclass(frozen=True)
 class Sine(AbstractReference):
     """`offset + amplitude * sin(2 pi frequency t)`: N, N, Hz; see `sine`."""
@@ -70,6 +79,7 @@ class Sine(AbstractReference):
         self, n: int, h: float, rng: np.random.Generator
     ) -> Float[np.ndarray, "n"]:
         """The sinusoid at n samples, N."""
+        _below_half("sine: invalid frequency", self.frequency, h)
         t = np.arange(n) * h
         return self.offset + self.amplitude * np.sin(2 * np.pi * self.frequency * t)
 
@@ -98,11 +108,7 @@ class Noise(AbstractReference):
         self, n: int, h: float, rng: np.random.Generator
     ) -> Float[np.ndarray, "n"]:
         """The noise at n samples, N; see `AbstractReference.force`."""
-        if self.band >= 0.5 / h:
-            raise InputError(
-                f"noise: invalid band {self.band:g} Hz: expected less than half the "
-                f"sampling rate, {0.5 / h:g} Hz"
-            )
+        _below_half("noise: invalid band", self.band, h)
         return waveforms.band_noise(rng, n, h, self.rms, self.band)
 
 

@@ -59,6 +59,8 @@ def _missing(file: File, name: str, wanted: str) -> str:
     hint = f"did you mean {near[0]!r}?" if near else f"it has {labels[:12]}"
     if len(labels) == 1 and file.header:
         hint = "its header is one cell, so separate the columns with commas"
+    if not any(labels):
+        hint = "it has no columns"
     mend = "name it 'time [s]', or its column" if name == "time" else "mend the column"
     return (
         f"{file.path}: no column {wanted!r} for {name}; {hint}; {mend} in the rig "

@@ -178,6 +178,12 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
         )
     shortest += max(late.values(), default=0.0)
     segments, cuts = segments_of(time, arrays, shortest)
+    if not segments and time[-1] - time[0] < shortest:
+        raise InputError(
+            f"{path}: it lasts {time[-1] - time[0]:.3g} s by its column "
+            f"{labels['time']!r}, and {shortest:g} s are needed; look at the unit of "
+            "the time, or log longer"
+        )
     if not segments:
         why = "; ".join(lost + cuts) or f"it lasts {time[-1] - time[0]:g} s"
         raise InputError(
@@ -261,5 +267,5 @@ def _check_rows(
             )
     if rows < _LEAST_ROWS:
         raise InputError(
-            f"{file.path}: {rows} rows are too few; a log needs at least {_LEAST_ROWS}"
+            f"{file.path}: a log needs at least {_LEAST_ROWS} rows, and it has {rows}"
         )

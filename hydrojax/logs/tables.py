@@ -154,6 +154,9 @@ def table_of(frame: pd.DataFrame, units: Mapping[str, str], name: str) -> File:
 def unreadable(path: Path, kind: str, error: Exception, mend: str) -> InputError:
     """What to raise where a library cannot read a file of the kind."""
     words = " ".join(str(error).replace(f" '{path}'", "").split())[:100]
+    long = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", words)
+    if long:  # as pandas says it
+        words = f"line {long[2]} has {long[3]} cells, {long[1]} columns are named"
     return InputError(
         f"{path}: not a readable {kind} ({words or type(error).__name__}); {mend}"
     )

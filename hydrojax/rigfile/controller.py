@@ -170,6 +170,12 @@ def with_gains(
         InputError: an unknown gain, or an invalid quantity.
     """
     declared = specs(law)
+    for name in gains:
+        if name in KEYS and name not in declared:
+            raise InputError(
+                f"{where} {name} is of another kind of controller; delete it, and give "
+                f"gains of this one: {', '.join(declared)}"
+            )
     check_known(where, gains, declared, "gain")
     for name, value in gains.items():
         unit = units.with_command(declared[name].unit, spec.command_unit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -107,6 +108,8 @@ class RigFile:
         Raises:
             InputError: the file cannot be read, or see `from_text`.
         """
+        if not isinstance(path, (str, os.PathLike)):
+            raise InputError(f"a rig file is named by its path, not by {path!r:.40}")
         text = file_text(Path(path), TEXT, "a rig file is a small file of text")
         return cls.from_text(text, str(path), valve)
 
@@ -164,6 +167,8 @@ class RigFile:
         Raises:
             InputError: see `from_text`.
         """
+        if not isinstance(tree, Mapping):
+            raise InputError(f"{path}: {tree!r:.40} is no dict of sections")
         text = to_text(tree, base_specs(valve), effect_specs())
         return cls.from_text(text, path, valve)
 

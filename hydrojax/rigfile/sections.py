@@ -122,6 +122,8 @@ def _refuse(path: str, tree: Mapping[str, Any], error: ValidationError) -> NoRet
         if first["type"] == "extra_forbidden":
             check_known(f"{where} {keys[1]}", [keys[2]], Channel.model_fields, "key")
         if first["type"] == "missing":
+            own = tree["channels"][keys[1]]
+            check_known(f"{where} {keys[1]}", own, Channel.model_fields, "key")
             raise InputError(
                 f"{where} {keys[1]} names no column; write {keys[1]} = "
                 '{ column = "..." }'
@@ -311,6 +313,7 @@ def entry(given: Given, command: str) -> Entry:
         tolerance = units.tolerance(given.tolerance, start, want, given.where)
         if given.reciprocal:
             start, tolerance = 1.0 / start, tolerance / start**2
+        check_possible(given, start, unit)
         return Entry(start, None, unit, tolerance)
     start, lower, upper = values
     if not lower < upper:
@@ -325,4 +328,44 @@ def entry(given: Given, command: str) -> Entry:
         )
     if given.reciprocal:
         start, lower, upper = 1.0 / start, 1.0 / upper, 1.0 / lower
+    check_possible(given, start, unit)
+    if lower < 0 <= given.spec.lower:
+        raise InputError(
+            f"{given.where} range {list(given.range)} goes below 0, where no rig is; "
+            "begin it at 0 or above"
+        )
     return Entry(start, (lower, upper), unit)
+
+
+FAR = 1e3
+"""How far beyond the range of its declaration a value may lie: machines of another size
+are 20 times beyond it, a wrong unit or sign mostly more."""
+
+
+def check_possible(given: Given, value: float, unit: str) -> None:
+    """Refuse a value that no rig has.
+
+    Args:
+        given: as written.
+        value: in the SI unit its model stores.
+        unit: that.
+
+    Raises:
+        InputError: it is below 0, or 0, where its declaration is not; or further
+            beyond it than `FAR` times.
+    """
+    spec = given.spec
+    known = f"usually {spec.lower:g} to {spec.upper:g} {unit}".removesuffix(" 1")
+    if value == 0 and given.field in LANDS:
+        return  # an edge that never opens
+    if value < 0 <= spec.lower or value <= 0 < spec.lower:
+        raise InputError(
+            f"{given.where}: {given.start!r} is not above 0, where every rig is "
+            f"({known}); give another"
+        )
+    most = FAR * max(abs(spec.lower), abs(spec.upper))
+    if abs(value) > most or abs(value) < spec.lower / FAR:
+        raise InputError(
+            f"{given.where}: {given.start!r} is far from what rigs have ({known}); "
+            "look at its unit"
+        )

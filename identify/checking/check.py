@@ -121,6 +121,7 @@ class Checked:
             f"hydrojax check: {self.rig}",
             *(textwrap.fill(f"- {f.says}", 88) for f in self.found),
             *(() if self.found else ("No input looks wrong.",)),
+            *(f"- {log.name}: {note}" for log in self.read for note in log.notes),
             "",
             _text(self.inputs),
             "",

@@ -101,7 +101,12 @@ def fit_stretches(
         )
     w = problem.batch.windows
     window = w.scored * float(np.median(np.asarray(w.h)))
-    count = max(round(seconds / window), LEAST_WINDOWS)
+    count = round(seconds / window)
+    if count < LEAST_WINDOWS:
+        raise InputError(
+            f"--stretch {seconds:g}: a fit takes {LEAST_WINDOWS} windows of "
+            f"{window:.3g} s at least; give {LEAST_WINDOWS * window:.3g} or more"
+        )
     t = np.asarray(w.t)[:, w.x.shape[1] - w.scored]
     out = []
     for i, log in enumerate(logs):
@@ -116,8 +121,8 @@ def fit_stretches(
             )
     if len(out) < 2:
         raise InputError(
-            f"{', '.join(logs)}: {len(out)} stretch of {count * window:.3g} s is too "
-            "few to see friction change: give more or longer logs, or a shorter "
+            f"{', '.join(logs)}: {len(out) or 'no'} stretch of {count * window:.3g} s "
+            "is too few to see friction change: give more or longer logs, or a shorter "
             "--stretch"
         )
     return out

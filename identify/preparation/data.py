@@ -90,7 +90,7 @@ def prepare_logs(
             or no stretch long enough for a window.
     """
     if not 0 < horizon < 1e4:
-        raise InputError(f"--horizon {horizon}: give the length of a window in seconds")
+        raise InputError(f"horizon {horizon}: give the length of a window in seconds")
     driven_by = driver(logs, spec)
     if band is None:
         band = common_band(logs, spec, driven_by, criteria)

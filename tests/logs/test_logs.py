@@ -381,7 +381,7 @@ def test_blank_line_is_counted(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rows", [0, 3, 49])
 def test_too_few_rows(tmp_path: Path, rows: int) -> None:
     path = write(tmp_path / "log.csv", {k: v[:rows] for k, v in a_run().items()})
-    refusal(path, f"{rows} rows", "at least 50")
+    refusal(path, f"it has {rows}", "at least 50 rows")
 
 
 def test_row_with_a_cell_too_many(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from hydrojax.rigfile.sections import Entry
 
 
 def spec(unit: str, **more) -> Spec:
-    return Spec(unit, 1.0, 0.0, 2.0, "for the test", **more)
+    return Spec(unit, 1.0, -1e12, 1e12, "for the test", **more)
 
 
 FLOW = "m^3/(s*{u}*Pa^0.5)"
