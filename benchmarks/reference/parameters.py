@@ -73,7 +73,8 @@ def parameters_page() -> str:
         )
         parts.append(table(heads, lines))
     parts.append(
-        "SI. `limits` are what a range may span. `V` in a unit is the unit of the command: "
+        "SI. `limits` are what rigs usually have: a thousand times beyond them, or below "
+        "0 where they are not, is refused. `V` in a unit is the unit of the command: "
         "leave it out where `u` is a fraction of full opening; a valve constant is then "
         "about ten times as large. `hydrojax init` drafts a start and a range for each from "
         "your log.\n"

@@ -164,7 +164,8 @@ def test_a_sweep_shows_its_gist_and_its_axes():
     text = sweep(one=False).hydrojax._repr_html_()
     bare(text)
     said = Page(text).said
-    assert "widest band within 1 dB 6.0 Hz at k_p = 2, k_f = 3, peak 6.0 dB" in said
+    widest = "widest band within 1 dB 6.0 Hz at k_p = 2, k_f = 3 (at an end of k_p)"
+    assert f"{widest}, peak 6.0 dB" in said
     assert "with a peak of at most 3 dB: 3.0 Hz at k_p = " in said
     assert Tables(text).tables[0][1:] == [
         ["k_p", "what k_p is", "3", "0.5 to 2 V/kN", "1.2"],
