@@ -198,7 +198,7 @@ def test_a_sweep_summarises_itself_and_draws_bode_plots():
     assert title == "rig: gains to bandwidth" and line == sentences(data)[0]
     chosen = data.hydrojax.plot_bode().axes
     assert [ax.get_title().partition("\n")[0] for ax in chosen[:2]] == [
-        "the rig's gains", "widest within 1 dB",
+        "next to the rig's gains", "widest within 1 dB",
     ]  # fmt: skip
     own = data.hydrojax.plot_bode({"low": {"k_p": 0, "k_f": -1}}).axes
     assert own[0].get_title() == "low\nk_p = 0.5, k_f = 3"
