@@ -51,7 +51,7 @@ def _range(text: str, where: str) -> list[float | str]:
         )
     (start, unit), (stop, other) = (units.split(p, where) for p in ends[:2])
     if ends[2].isdecimal() and (len(ends[2]) > 9 or int(ends[2]) > COUNT):
-        raise InputError(f"{where}: a count of {ends[2]:.20} is more than {COUNT}")
+        raise InputError(f"{where:.60}: a count of {ends[2]:.20} is more than {COUNT}")
     count = int(ends[2]) if ends[2].isdecimal() else 0
     if count < 2 or (start, unit) == (stop, other):
         raise InputError(f"{where}: give two ends and a count of 2 or more")

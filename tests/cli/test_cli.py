@@ -164,7 +164,7 @@ BAD_LOGS = {
         columns() | {"time [s]": 1.0 * np.arange(3000)},
         ("a row every 1 s", "20 Hz"),
     ),
-    "three rows": ({k: v[:3] for k, v in columns().items()}, ("3 rows",)),
+    "three rows": ({k: v[:3] for k, v in columns().items()}, ("50 rows", "it has 3")),
     "a sensor at rest": (
         changed("P_a2 [bar]", at(slice(None), 70.0)),
         ("P_a2 [bar]", "does not move"),

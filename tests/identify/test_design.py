@@ -136,8 +136,10 @@ def test_two_effects_are_designed_for_together(rig_file):
 
 def test_what_cannot_be_designed(rig_file):
     spec = RigFile.load(rig_file)
-    with pytest.raises(InputError, match="known effects"):
+    with pytest.raises(InputError, match="did you mean 'internal_leakage'"):
         design(spec, LIMITS, ("internal_leak", "stribeck"))
+    with pytest.raises(InputError, match="two different effects"):
+        design(spec, LIMITS, ("stribeck", "stribeck"))
     with pytest.raises(InputError, match="noise of F"):
         design(replace(spec, sensors={"P_a1": 9e3, "P_a2": 9e3}), LIMITS)
     with pytest.raises(InputError, match="nothing to identify"):
