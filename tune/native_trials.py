@@ -1,7 +1,7 @@
 """The runs in which gains are tried, in C that is written of the simulator's own step.
 
-The C takes no longer to write and compile than XLA's program of the same runs, and runs
-some five times as fast.
+The C takes about as long to write and compile as XLA's program of the same runs, and is
+made for many rows side by side.
 """
 
 from __future__ import annotations

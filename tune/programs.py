@@ -126,7 +126,7 @@ class Programs:
         The rows' speed is not used: the scenario moves the piston.
         """
         if setting is self.setting and self._alike is None:
-            self._choose(rows, which, scenarios)
+            self._choose(rows, scenarios)
         if setting is self.setting and self._alike:
             return self._by_c(rows, which, scenarios)
         return self._by_xla(setting, rows, which, scenarios)
@@ -141,12 +141,15 @@ class Programs:
         P_s = np.full_like(scenarios.P_s, self.setting.P_s)
         return self._in_c.result()(numbers, which, scenarios._replace(P_s=P_s))
 
-    def _choose(self, rows, which, scenarios):
-        """What makes the runs from now on: C, if it makes those of these rows, some
-        `native.CHECKED` of them, as XLA does. Open still where none of them can tell.
+    def _choose(self, rows, scenarios):
+        """What makes the runs from now on: C, if it makes those of these rows as XLA
+        does, in every scenario some, `native.CHECKED` at most. Open still where none of
+        them can tell.
         """
-        first = slice(0, native.CHECKED)
-        rows, which = jax.tree.map(lambda a: a[first], (rows, which))
+        kinds = len(scenarios.F_d)
+        some = min(rows.v.size, native.CHECKED // kinds)
+        rows = repeat(rows, np.tile(np.arange(some), kinds))
+        which = np.repeat(np.arange(kinds), some)
         nudged = scenarios._replace(F_d=scenarios.F_d * (1 + native.NUDGE))
         theirs, parted = (
             self._by_xla(self.setting, rows, which, s) for s in (scenarios, nudged)

@@ -208,7 +208,7 @@ def _friction(s: EvenTicks, shape: Shape) -> tuple[np.ndarray, ...]:
     return _slid(s.x.tobytes(), s.h, shape)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=4)  # the positions of a few logs, which may be long
 def _slid(x: bytes, h: float, shape: Shape) -> tuple[np.ndarray, ...]:
     """That of a position (doubles, m) every h seconds: mostly one that other signals
     are tried beside.

@@ -85,7 +85,7 @@ def test_a_plant_that_differs_and_moves():
 
 
 class Odd(ForceEffect):
-    """Friction with an operation that has no form in C."""
+    """A force by an operation that has no form in C."""
 
     name = "odd"
     residual_axis = "v"
