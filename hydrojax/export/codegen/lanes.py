@@ -155,11 +155,18 @@ class _Writer:
         for i in mine:
             body.names[self.before[i]] = f"s{i}[k]"
         body.cut([(self.after[i], f"s{i}") for i in mine], self.kept)
+        own = [*(f"s{i}" for i in mine), *(f"l{at}" for at in of_lane)]
+        rows = [*own, *body.rows]
         return Laned(
             _SOURCE.format(
                 lanes=LANES,
                 simd="\n".join(_VECTOR.format(name=n) for n in IN_VECTORS),
                 helpers="\n".join(helpers("as_integer( as_double( whole(")),
+                rows="\n".join(
+                    f"#define {name} (w + {i}L * LANES)" for i, name in enumerate(rows)
+                ),
+                size=max(1, len(rows)),
+                functions="\n\n".join(body.functions),
                 shared=self._pass(shared, of_tick),
                 width=max(1, len(of_tick)),
                 load=self._load(mine, of_lane),
@@ -208,9 +215,7 @@ class _Writer:
         }
         block = Block(graph, known, 3)
         block.make(of_lane)
-        arrays = [*(f"s{i}" for i in mine), *(f"l{at}" for at in of_lane)]
-        lines = [f"        ROW({name});" for name in arrays]
-        lines += ["        for (long k = 0; k < LANES; k++) {"]
+        lines = ["        for (long k = 0; k < LANES; k++) {"]
         lines += ["            const long j = b + k < B ? b + k : B - 1;"]
         lines += block.lines
         lines += [f"            s{i}[k] = S[{i}L * B + j];" for i in mine]
@@ -230,9 +235,18 @@ _SOURCE = """\
 #define WIDTH {width}
 #define ROW(name) double name[LANES] __attribute__((aligned(64)))
 #define OVER(k) _Pragma("omp simd") for (int k = 0; k < LANES; k++)
+#ifdef __clang__
+#define APART __attribute__((noinline)) static void
+#else
+#define APART __attribute__((noipa)) static void
+#endif
+
+{rows}
 
 {simd}
 {helpers}
+{functions}
+
 /* B instances over T ticks: rows R [., B], first state S [., B], course C [T, .]; kept
  * O [T, ., B] or NULL, last state F [., B]. Not 0 where there is no memory. */
 int run(long B, long T, const double *R, const double *S, const double *C, double *O,
@@ -250,6 +264,7 @@ int run(long B, long T, const double *R, const double *S, const double *C, doubl
     for (long b = 0; b < B; b += LANES) {{
         const long live = B - b < LANES ? B - b : LANES;
         const double *t = table;
+        double w[{size} * LANES] __attribute__((aligned(64)));
 {load}
         for (long i = 0; i < T; i++, t += WIDTH) {{
             double *const out = O ? O + i * outputs * B + b : NULL;

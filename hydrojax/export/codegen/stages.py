@@ -13,11 +13,23 @@ STAGE = 30
 
 
 class Stages:
-    """The operations that differ by lane and tick, in loops over the lanes."""
+    """The operations that differ by lane and tick, in loops over the lanes.
+
+    Each stage is a function of its own: gcc takes several times as long over one that
+    holds them all.
+
+    Attributes:
+        names: what the nodes are called.
+        rows: arrays over the lanes that stages leave to later ones.
+        functions: the stages.
+        lines: of C that run them.
+    """
 
     def __init__(self, graph: Graph, zones: dict[int, int], order: list[int]):
         self.graph, self.order = graph, order
         self.names: dict[int, str] = {}
+        self.rows: list[str] = []
+        self.functions: list[str] = []
         self.lines: list[str] = []
 
     def cut(self, states: Sequence[tuple[int, str]], kept: Sequence[int]) -> None:
@@ -31,7 +43,7 @@ class Stages:
         for at in [*kept, *(at for at, _ in states)]:
             last[at] = len(stages)
         arrays = [at for at in where if last.get(at, 0) > where[at]]
-        self.lines += [f"            ROW(a{at});" for at in arrays]
+        self.rows += [f"a{at}" for at in arrays]
         stored = set(arrays)
         for stage in stages:
             if self.graph.nodes[stage[0]].op == "loop":
@@ -117,19 +129,25 @@ class Stages:
                 line = f"const double x{a} = {self.names[a]};"
                 (outside if self.names[a].startswith("t[") else inside).append(line)
                 own[a] = f"x{a}"
-        self.lines += ["            {", *(f"            {line}" for line in outside)]
-        self.lines.append("            OVER(k) {")
-        self.lines += [f"                {line}" for line in inside]
+        lines = [f"    {line}" for line in outside]
+        lines += ["    OVER(k) {", *(f"        {line}" for line in inside)]
         for at in stage:
             node = self.graph.nodes[at]
             text = self._text(node, own)
             own[at] = f"v{at}"
-            self.lines.append(f"                const double v{at} = {text};")
+            lines.append(f"        const double v{at} = {text};")
         for at in stage:
             if at in stored:
-                self.lines.append(f"                a{at}[k] = v{at};")
+                lines.append(f"        a{at}[k] = v{at};")
                 self.names[at] = f"a{at}[k]"
-        self.lines.append("            }}")
+        self._apart([*lines, "    }"])
+
+    def _apart(self, lines: list[str]) -> None:
+        """Add a stage of these lines."""
+        name = f"stage_{len(self.functions)}"
+        head = f"APART {name}(double *restrict w, const double *restrict t)"
+        self.functions.append("\n".join([head, "{", *lines, "}"]))
+        self.lines.append(f"            {name}(w, t);")
 
     def _loop(self, stage: list[int], stored: set[int]) -> None:
         """A loop and its results. Rounds that all lanes take are taken side by side;
@@ -140,25 +158,25 @@ class Stages:
         loop = graph.nodes[at].value
         results = [r for r in results if r in stored]
         known = {a: self._read(a, {}) for a in self.graph.outside(at)}
-        self.lines.append("            {")
         nested = any(graph.nodes[i].op == "loop" for i in graph.live(loop.results))
         if loop.go is None and not nested:
-            rows = self._rounds(at, known, [graph.nodes[r].value for r in results])
+            wanted = [graph.nodes[r].value for r in results]
+            rows, lines = self._rounds(at, known, wanted)
             names = {r: f"{rows[graph.nodes[r].value]}[k]" for r in results}
-            self.lines.append("            OVER(k) {")
+            lines.append("    OVER(k) {")
         else:
-            block = Block(graph, known, 4)
+            block = Block(graph, known, 2)
             block.make(stage)
             names = {r: block.name(r) for r in results}
-            self.lines += ["            OVER(k) {", *block.lines]
-        self.lines += [f"                a{r}[k] = {names[r]};" for r in results]
-        self.lines.append("            }}")
+            lines = ["    OVER(k) {", *block.lines]
+        lines += [f"        a{r}[k] = {names[r]};" for r in results]
+        self._apart([*lines, "    }"])
         self.names |= {r: f"a{r}[k]" for r in results}
 
     def _rounds(
         self, at: int, known: dict[int, str], wanted: list[int]
-    ) -> dict[int, str]:
-        """Write a loop's rounds, each over all lanes.
+    ) -> tuple[dict[int, str], list[str]]:
+        """A loop's rounds, each over all lanes.
 
         Args:
             at: the loop.
@@ -167,7 +185,7 @@ class Stages:
 
         Returns:
             The arrays of what is carried on from round to round for their sake, by its
-            place: a counter that only counts is none of them.
+            place: a counter that only counts is none of them. And the lines.
         """
         graph = self.graph
         starts, loop = graph.nodes[at].args, graph.nodes[at].value
@@ -182,30 +200,25 @@ class Stages:
         for a, name in known.items():
             node = graph.nodes[a]
             if a in behind and node.kind == DOUBLE and node.op != "const":
-                takes.append(f"                    const double x{a} = {name};")
+                takes.append(f"            const double x{a} = {name};")
                 inside[a] = f"x{a}"
         for i, name in rows.items():
             kind = graph.nodes[loop.carried[i]].kind
             cast = "" if kind == DOUBLE else f"({kind})"
             inside[loop.carried[i]] = f"({cast}{name}[k])"
-        block = Block(graph, inside, 5)
+        block = Block(graph, inside, 3)
         block.inner(loop.scope, [loop.results[i] for i in wanted])
-        out = [f"            ROW({name});" for name in rows.values()]
-        out.append("            OVER(k) {")
+        out = [f"    ROW({name});" for name in rows.values()]
+        out.append("    OVER(k) {")
+        out += [f"        {n}[k] = {known[starts[i]]};" for i, n in rows.items()]
         out += [
-            f"                {n}[k] = {known[starts[i]]};" for i, n in rows.items()
-        ]
-        out += [
-            "            }",
-            f"            for (int i = 0; i < {loop.count}; i++) {{",
-            "                OVER(k) {",
+            "    }",
+            f"    for (int i = 0; i < {loop.count}; i++) {{",
+            "        OVER(k) {",
             *takes,
             *block.lines,
         ]
         news = {name: block.name(loop.results[i]) for i, name in rows.items()}
-        out += [
-            f"                    const double n{n} = {v};" for n, v in news.items()
-        ]
-        out += [f"                    {n}[k] = n{n};" for n in news]
-        self.lines += [*out, "                }", "            }"]
-        return rows
+        out += [f"            const double n{n} = {v};" for n, v in news.items()]
+        out += [f"            {n}[k] = n{n};" for n in news]
+        return rows, [*out, "        }", "    }"]
