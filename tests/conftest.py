@@ -1,5 +1,6 @@
 """A reference rig, and short synthetic logs with motion known in closed form."""
 
+import gc
 import hashlib
 import os
 import resource
@@ -39,6 +40,7 @@ def _pin() -> None:
 
 
 _pin()
+gc.set_threshold(*cli.COLLECTED)
 set_up_jax(CACHE_HOME / "hydrojax")
 programs.HELD = 2**30  # tests take rigs of many structures by turns
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import signal
@@ -162,11 +163,17 @@ def _interruptible(came: list[int]) -> Iterator[None]:
         sys.unraisablehook = hook
 
 
+COLLECTED = (20_000, 20, 100)
+"""Thresholds of Python's garbage collection: at its own a twentieth of a command's time
+goes into looking again and again through what JAX has traced, for next to nothing."""
+
+
 def main() -> None:
     """Run the command line: 0 when it did its work, 2 on bad input.
 
     1 where `--fail-on` says so; 130 and 143 where a signal stops it.
     """
+    gc.set_threshold(*COLLECTED)
     came: list[int] = []
     code = 1
     try:

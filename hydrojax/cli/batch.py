@@ -75,7 +75,8 @@ def batch(
     """Identify or trace a fleet of logs: one table, one report.
 
     Given again, the same command continues a fleet that was stopped, and does nothing
-    where all is done. A bad log fails on its own; the rest continue.
+    where all is done. A bad log fails on its own; the rest continue, and the exit
+    status is 1.
     """
     check_out(context, out)
     if command not in ("identify", "trace"):
@@ -109,3 +110,5 @@ def batch(
     for line in named(out, 20):
         console.print(line, soft_wrap=True)
     console.print(f"fleet.html and fleet.parquet in {out}")
+    if ran.failed:
+        raise typer.Exit(1)

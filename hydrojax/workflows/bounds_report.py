@@ -11,7 +11,7 @@ from hydrojax import units
 from hydrojax.rigfile import controller
 from hydrojax.workflows.friction_bounds import Bounds
 
-COLOURS = {"paper": "0.75", "box": "#E69F00", "refined": "#0072B2"}
+COLOURS = {"paper": "0.75", "box": "#E69F00", "refined": "#0072B2", "own": "#009E73"}
 
 
 def content(found: Bounds) -> dict[str, Any]:
@@ -39,7 +39,7 @@ def content(found: Bounds) -> dict[str, Any]:
 
 
 def bounds_figure(found: Bounds) -> Figure:
-    """Each parameter's fits, and the three bounds around them."""
+    """Each parameter's fits, and the bounds around them."""
     n = len(found.box.names)
     fig = Figure(figsize=(8.0, 1.1 + 0.62 * n), layout="constrained")
     axes = np.atleast_1d(fig.subplots(n, 1))
@@ -72,7 +72,7 @@ def _draw(ax: Any, found: Bounds, i: int, name: str) -> None:
                 label=label if i == 0 else None,
             )  # fmt: skip
     ax.set_yticks([])
-    ax.set_ylim(-2.7, 2.1)
+    ax.set_ylim(0.3 - len(found.bounds), 2.1)
     ax.set_ylabel(name, rotation=0, ha="right", va="center")
     ax.set_xlabel("" if unit == "1" else f"[{unit.replace('*', '·')}]", labelpad=0)
     ax.tick_params(labelsize=8)

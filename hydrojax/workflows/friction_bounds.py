@@ -43,13 +43,14 @@ MOST_SECONDS = 6.0
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of theta_f in three ways, and how the law tracks with each; SI.
+    """Bounds of theta_f in several ways, and how the law tracks with each; SI.
 
     Attributes:
         box: that holds the next stretch's theta_f at a confidence.
         fits: of the stretches of the logs that took part.
         other_fits: of those that did not.
-        bounds: lower and upper by way: "paper", "box", "refined".
+        bounds: lower and upper by way: "paper", "box", "refined", and "own" where the
+            rig file gives bounds of some.
         coverage: share of stretches that each way's bounds hold, by way: of the logs
             that took no part, where there are any.
         proposed: the way whose bounds are proposed.
@@ -80,8 +81,9 @@ def friction_bounds(
 
     Args:
         case: the rig and its logs; those kept for the check give plants on which the
-            three ways are compared and which take no part in finding them. Bounds
-            are proposed only where they track no worse there than the paper's.
+            ways are compared and which take no part in finding them. Bounds are
+            proposed only where they track no worse there than the rig file's own, or
+            the paper's where it has none.
         confidence: that the box holds the next stretch's theta_f.
         stretch: length of a fit, s.
         progress: called with a line of text at each stage.
@@ -106,6 +108,14 @@ def friction_bounds(
     held = (box.lower, box.upper)
     both = (np.minimum(lowest, box.lower), np.maximum(highest, box.upper))
     ways = {"paper": (lowest, highest), "box": held}
+    given = set(names) & case.spec.controller.keys()
+    if given:
+        law = loop.law
+        low, high = (
+            np.array([float(getattr(e, n)) for n in names])
+            for e in (law.lower, law.upper)
+        )
+        ways["own"] = (low, high)
     tried = [
         refine(loop, plants, scenarios, held, limits, names, start, progress)
         for start in (held, both)
@@ -120,7 +130,7 @@ def friction_bounds(
         rest = _plants(names, other_fits, loop, seed=1)
         elsewhere = _errors(loop, names, ways, rest, others)
     judged = elsewhere or fitted
-    proposed = min(("refined", "paper"), key=judged.__getitem__)
+    proposed = min(("refined", "own" if given else "paper"), key=judged.__getitem__)
     keys = {
         n: [_paper_unit(n, a), _paper_unit(n, b)]
         for n, a, b in zip(names, *ways[proposed], strict=True)

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from hydrojax.identify.checking.findings import inputs_that_lie
 from hydrojax.identify.checking.inputs import Inputs, inputs_of
-from hydrojax.identify.checking.sensors import channel_table, log_table
+from hydrojax.identify.checking.sensors import ROLL_OFF, channel_table, log_table
 from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.report.explorer import condensed
 from hydrojax.identify.report.figures import AFTER, STYLE, png, sheet
@@ -30,6 +30,15 @@ from hydrojax.report.text import engineering, quantity_text, symbol
 from hydrojax.rigfile.schema import RigFile
 
 FORMAT = "hydrojax-check/1"
+
+LEGEND = textwrap.fill(
+    "repeated: readings equal to the one before; at the ends: at the smallest or "
+    "largest value; held: the longest run of one value; roll-off: how much less power "
+    "there is at half of the rate than at a third; of a channel that has a filter by "
+    f"{ROLL_OFF:.0f} dB more than of the others.",
+    88,
+)
+"""What the columns of the channels' table mean."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -128,6 +137,8 @@ class Checked:
             _text(self.logs_shown),
             "",
             _text(self.channels_shown),
+            "",
+            LEGEND,
         ]
         return "\n".join(parts) + "\n"
 

@@ -223,6 +223,13 @@ class Problem:
         sums = self.evaluate(values, names, slots, self.batch._replace(noise=noise))
         return slot_names(self.model, names, slots), sums
 
+    def fits_alike(
+        self, values: Float[np.ndarray, "n"], some: Sequence[str], others: Sequence[str]
+    ) -> bool:
+        """Whether the program that fits some parameters at `values` fits others too."""
+        acting = (self.model.acting(values, own)[0].names for own in (some, others))
+        return self.slots(some) == self.slots(others) and len(set(acting)) == 1
+
     def residuals_at(
         self, values: Float[np.ndarray, "n"]
     ) -> Float[np.ndarray, "windows ticks 3"]:

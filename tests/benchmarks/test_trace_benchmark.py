@@ -239,6 +239,7 @@ def test_case_on_disk_is_readable(tmp_path):
     assert 0 < abs(start / true - 1) <= 0.1
 
 
+@pytest.mark.slow
 def test_a_differential_cylinder_reads_back(tmp_path):
     from hydrojax.logs.log import Log
     from hydrojax.rigfile.schema import RigFile

@@ -405,6 +405,7 @@ def tutorial(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_identify_writes_the_contracts_report(call, tutorial, monkeypatch):
     """By the tutorial's command, which prints what the tutorial shows."""
     (line,) = (c for c in commands(TUTORIAL) if " identify " in c)

@@ -66,11 +66,13 @@ def test_the_site_builds_without_a_warning(site):
     assert (site / "index.html").is_file()
 
 
+@pytest.mark.slow
 def test_every_page_is_there(site):
     pages = {p.relative_to(ROOT / "docs").with_suffix(".html") for p in PAGES}
     assert pages <= {p.relative_to(site) for p in site.rglob("*.html")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -136,6 +138,7 @@ FETCHED = re.compile(
 """What a browser would get from elsewhere on opening a page."""
 
 
+@pytest.mark.slow
 def test_a_reader_s_browser_fetches_nothing(site):
     """Scripts, style sheets, pictures and fonts all come from the site itself."""
     for path in (*site.rglob("*.html"), *site.rglob("*.css")):

@@ -441,7 +441,9 @@ def run_fmu(fmpy, path, table, h, P, **more):
     return np.stack([out[name] for name in ("P_a1", "P_a2", "F")], axis=1)
 
 
-@pytest.fixture(scope="module", params=["reference", "rich"])
+@pytest.fixture(
+    scope="module", params=["reference", pytest.param("rich", marks=pytest.mark.slow)]
+)
 def driven(request, tmp_path_factory, fmpy):
     """A rig, its FMU as a file, and a run of it as inputs."""
     folder = tmp_path_factory.mktemp(request.param)
@@ -517,6 +519,7 @@ def test_an_fmu_solves_for_the_force_that_stretches_its_rod(fmpy, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:a pressure left")  # one chamber cannot pull
+@pytest.mark.slow
 def test_an_fmu_of_one_chamber_has_one_pressure(fmpy, tmp_path):
     spec = spec_of(SINGLE, tmp_path)
     fmu, _ = write_fmu(spec, tmp_path)
@@ -698,6 +701,7 @@ def python(*words, cwd):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_an_fmu_takes_effects_of_the_users_own_along(fmpy, tmp_path):
     """By the command line; run by another process after their file is gone."""
     rig = "[effects.drag]\nc = '1e4 N*s/m'\n[controller]"

@@ -47,7 +47,9 @@ def both_ways(rig, flow, leaves, tree, theta, opening, inputs):
 
 
 @pytest.mark.parametrize("strength", [0.0, 0.5])
-@pytest.mark.parametrize("stretched", [False, True])
+@pytest.mark.parametrize(
+    "stretched", [pytest.param(False, marks=pytest.mark.slow), True]
+)
 def test_a_substep_has_the_derivatives_of_forward_mode(rig, strength, stretched):
     """At odd places too, where a branch that is not taken is not finite."""
     rig = add(rig, [effect() for effect in EFFECTS.values()])

@@ -168,6 +168,7 @@ def test_what_the_fitted_logs_do_not_show_is_told_from_what_is_missing(
     assert found.verdict == "unknown" and "cannot be judged" not in found.sentence
 
 
+@pytest.mark.slow
 def test_a_range_without_the_truth_holds_the_estimate_at_its_end(recorded, tmp_path):
     case = recorded(SEED)
     beta, k_cp = (truth(case)[n] for n in ("beta", "k_cp"))
@@ -243,6 +244,7 @@ def test_an_alias_is_reported_with_its_partners(recorded, tmp_path):
         pytest.param(
             'P_a1 = { column = "P_a2" }\nP_a2 = { column = "P_a1" }',
             id="pressures exchanged",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             'u = { column = "u", invert = true }',
@@ -277,6 +279,7 @@ def test_a_poor_start_does_as_well_as_a_good_one(recorded, good, tmp_path):
         assert abs(a.value - b.value) < 0.2 * b.std, name
 
 
+@pytest.mark.slow
 def test_a_failed_start_only_loses(recorded, monkeypatch):
     """One that is no number, or ends elsewhere, leaves the best of the others."""
     case = opened(recorded(SEED))
@@ -786,6 +789,7 @@ def test_motion_against_the_rigs_sign_is_seen_and_turned(recorded, tmp_path, sig
     assert not runs_backward(case.fit)
 
 
+@pytest.mark.slow
 def test_what_precedes_a_window_reaches_far_back(recorded):
     case = recorded(SEED, {})
     data, log = opened(case).fit, Log.load(case / "fit_1.csv")

@@ -193,6 +193,7 @@ def test_what_friction_remembers_is_kept_of_the_log_s_motion_only(leaking):
     np.testing.assert_array_equal(problem._left(values, problem.batch)[0], own)
 
 
+@pytest.mark.slow
 def test_it_is_kept_while_nothing_that_it_depends_on_changes(leaking, monkeypatch):
     runs = {"run_recall": 0, "run_openings_by": 0}
 
@@ -220,6 +221,7 @@ def test_it_is_kept_while_nothing_that_it_depends_on_changes(leaking, monkeypatc
     assert tuple(runs.values()) == counts
 
 
+@pytest.mark.slow
 def test_a_cut_has_the_opening_that_the_whole_has(leaking):
     """Windows by themselves, as balances of a few are run, and in their segments."""
     problem = api._problems(leaking, ["valve_lag", "valve_delay"])[0]

@@ -200,6 +200,7 @@ def test_windows_that_run_wild_do_not_make_the_noise():
     assert np.all(_largest(change, log, every) > 10 * calm)
 
 
+@pytest.mark.slow
 def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
     case = coarse_case(tmp_path, monkeypatch, 23)
     np.testing.assert_array_equal(case.fit.noise, [9e3, 9e3, 2.5])

@@ -399,6 +399,7 @@ def test_power_runs_from_the_level_to_one():
     assert scored(X, r, fitted, columns, 1e4, small)[1].power < 0.011
 
 
+@pytest.mark.slow
 def test_the_test_keeps_its_level_and_its_power():
     """2000 residuals of noise alone, and as many with 12 of chi-square in them."""
     rng = np.random.default_rng(0)

@@ -222,6 +222,7 @@ def test_a_copy_gives_the_same_log(tmp_path, short, kind):
     assert "between the ticks" not in notes
 
 
+@pytest.mark.slow
 def test_a_copy_gives_the_same_windows(tmp_path):
     """End to end: what the replay runs on, from an MCAP copy and from the CSV."""
     spec = RigFile.load(DEMO / "rig.toml")

@@ -163,13 +163,17 @@ def one_cell(F):
     F[:, 1] *= 1 + 1e-6
 
 
-@pytest.mark.parametrize("change", [late, lost, one_cell])
+@pytest.mark.parametrize(
+    "change",
+    [*(pytest.param(c, marks=pytest.mark.slow) for c in (late, lost)), one_cell],
+)
 def test_what_differs_is_seen(monkeypatch, change):
     """Of loops that come to rest, in every cell and to the last period."""
     call, words = wrong(monkeypatch, plan_of({"k_p": [0.5, 1.0]}), change)
     assert call is None and words.startswith("XLA (C differs from it by up to")
 
 
+@pytest.mark.slow
 def test_a_loop_that_does_not_come_to_rest_is_no_measure(monkeypatch):
     """At these gains a limit cycle lets the last digit grow: two runs part."""
     beside = plan_of({"k_p": [0.7, 40.0], "k_f": [1.0]})
