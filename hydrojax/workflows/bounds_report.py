@@ -11,7 +11,9 @@ from hydrojax import units
 from hydrojax.rigfile import controller
 from hydrojax.workflows.friction_bounds import Bounds
 
-COLOURS = {"paper": "0.75", "box": "#E69F00", "refined": "#0072B2", "own": "#009E73"}
+COLOURS = {
+    "paper": "0.75", "box": "#E69F00", "refined": "#0072B2", "rig file": "#009E73",
+}  # fmt: skip
 
 
 def content(found: Bounds) -> dict[str, Any]:
@@ -41,7 +43,9 @@ def content(found: Bounds) -> dict[str, Any]:
 def bounds_figure(found: Bounds) -> Figure:
     """Each parameter's fits, and the bounds around them."""
     n = len(found.box.names)
-    fig = Figure(figsize=(8.0, 1.1 + 0.62 * n), layout="constrained")
+    fig = Figure(
+        figsize=(8.0, 1.1 + 0.155 * n * (1 + len(found.bounds))), layout="constrained"
+    )
     axes = np.atleast_1d(fig.subplots(n, 1))
     for i, (ax, name) in enumerate(zip(axes, found.box.names, strict=True)):
         _draw(ax, found, i, name)

@@ -49,8 +49,8 @@ class Bounds:
         box: that holds the next stretch's theta_f at a confidence.
         fits: of the stretches of the logs that took part.
         other_fits: of those that did not.
-        bounds: lower and upper by way: "paper", "box", "refined", and "own" where the
-            rig file gives bounds of some.
+        bounds: lower and upper by way: "paper", "box", "refined", and "rig file" where
+            that gives bounds of some.
         coverage: share of stretches that each way's bounds hold, by way: of the logs
             that took no part, where there are any.
         proposed: the way whose bounds are proposed.
@@ -115,7 +115,7 @@ def friction_bounds(
             np.array([float(getattr(e, n)) for n in names])
             for e in (law.lower, law.upper)
         )
-        ways["own"] = (low, high)
+        ways["rig file"] = (low, high)
     tried = [
         refine(loop, plants, scenarios, held, limits, names, start, progress)
         for start in (held, both)
@@ -130,7 +130,9 @@ def friction_bounds(
         rest = _plants(names, other_fits, loop, seed=1)
         elsewhere = _errors(loop, names, ways, rest, others)
     judged = elsewhere or fitted
-    proposed = min(("refined", "own" if given else "paper"), key=judged.__getitem__)
+    proposed = min(
+        ("refined", "rig file" if given else "paper"), key=judged.__getitem__
+    )
     keys = {
         n: [_paper_unit(n, a), _paper_unit(n, b)]
         for n, a, b in zip(names, *ways[proposed], strict=True)

@@ -181,10 +181,10 @@ def test_the_command_writes_a_rig_with_bounds(tmp_path, capsys, monkeypatch):
     (tmp_path / "rig.toml").write_text("\n".join(none))
     main("bounds own.toml 1.csv --validate 2.csv --out own", monkeypatch)
     found = json.loads((tmp_path / "own" / "bounds.json").read_text())
-    assert found["bounds"]["own"]["k_cp"] == [400.0, 2900.0]
+    assert found["bounds"]["rig file"]["k_cp"] == [400.0, 2900.0]
     errors, way = found["tracking_rms_N"]["others"], found["proposed"]
-    assert way in ("refined", "own") and errors[way] <= errors["own"]
-    assert "own bounds" in capsys.readouterr().out
+    assert way in ("refined", "rig file") and errors[way] <= errors["rig file"]
+    assert "rig file bounds" in capsys.readouterr().out
     main("bounds rig.toml 1.csv --validate 2.csv --out out", monkeypatch)
     new = RigFile.load(tmp_path / "out" / "rig.toml")
     assert len(new.controller["k_cp"]) == 2
