@@ -70,8 +70,8 @@ def commands_page() -> str:
     """Every command with its arguments and options."""
     group: Any = typer.main.get_command(cli.app)
     parts = ["# Commands\n", "Exit status: 0 when the work was done, 2 on bad input with "
-             "one line, 1 where `--fail-on` says so, a job of a batch failed, or no gains hold. "
-             "Logs are "
+             "one line, 1 where `--fail-on` says so, a job of a batch failed or a tuning "
+             "finds no gains that hold. Logs are "
              + ", ".join(f"`{e}`" for e in TABLES)
              + ", `.mcap` or a ROS 2 bag's folder. `hydrojax --install-completion` sets "
              "up completion for your shell.\n"]  # fmt: skip

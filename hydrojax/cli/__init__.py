@@ -164,14 +164,15 @@ def _interruptible(came: list[int]) -> Iterator[None]:
 
 
 COLLECTED = (20_000, 20, 100)
-"""Thresholds of Python's garbage collection: at its own a twentieth of a command's time
-goes into looking again and again through what JAX has traced, for next to nothing."""
+"""Thresholds of Python's garbage collection (`gc.set_threshold`). At its own it looks
+again and again through all that JAX has traced, and finds next to nothing."""
 
 
 def main() -> None:
     """Run the command line: 0 when it did its work, 2 on bad input.
 
-    1 where `--fail-on` says so; 130 and 143 where a signal stops it.
+    1 where `--fail-on` says so, a job of a batch failed or a tuning finds no gains that
+    hold; 130 and 143 where a signal stops it.
     """
     gc.set_threshold(*COLLECTED)
     came: list[int] = []

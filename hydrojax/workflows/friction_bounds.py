@@ -40,6 +40,9 @@ from hydrojax.tune.refine import (
 MOST_SECONDS = 6.0
 """How much of each log is run in closed loop, s."""
 
+PROPOSED = ("rig file", "refined", "paper")
+"""Ways that may be proposed; of equally good ones the first."""
+
 
 @dataclass(frozen=True)
 class Bounds:
@@ -81,9 +84,9 @@ def friction_bounds(
 
     Args:
         case: the rig and its logs; those kept for the check give plants on which the
-            ways are compared and which take no part in finding them. Bounds are
-            proposed only where they track no worse there than the rig file's own, or
-            the paper's where it has none.
+            ways are compared and which take no part in finding them. The refined bounds
+            are proposed only where they track better there than the rig file's own, and
+            no worse than the paper's.
         confidence: that the box holds the next stretch's theta_f.
         stretch: length of a fit, s.
         progress: called with a line of text at each stage.
@@ -108,8 +111,7 @@ def friction_bounds(
     held = (box.lower, box.upper)
     both = (np.minimum(lowest, box.lower), np.maximum(highest, box.upper))
     ways = {"paper": (lowest, highest), "box": held}
-    given = set(names) & case.spec.controller.keys()
-    if given:
+    if case.spec.controller.keys() & set(names):
         law = loop.law
         low, high = (
             np.array([float(getattr(e, n)) for n in names])
@@ -130,9 +132,7 @@ def friction_bounds(
         rest = _plants(names, other_fits, loop, seed=1)
         elsewhere = _errors(loop, names, ways, rest, others)
     judged = elsewhere or fitted
-    proposed = min(
-        ("refined", "rig file" if given else "paper"), key=judged.__getitem__
-    )
+    proposed = min((way for way in PROPOSED if way in ways), key=judged.__getitem__)
     keys = {
         n: [_paper_unit(n, a), _paper_unit(n, b)]
         for n, a, b in zip(names, *ways[proposed], strict=True)

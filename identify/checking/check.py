@@ -33,9 +33,9 @@ FORMAT = "hydrojax-check/1"
 
 LEGEND = textwrap.fill(
     "repeated: readings equal to the one before; at the ends: at the smallest or "
-    "largest value; held: the longest run of one value; roll-off: how much less power "
-    "there is at half of the rate than at a third; of a channel that has a filter by "
-    f"{ROLL_OFF:.0f} dB more than of the others.",
+    "largest value; held: the longest run of one value; roll-off: fall of the power "
+    "from a third of the sampling rate to half of it (a channel with a filter falls by "
+    f"{ROLL_OFF:.0f} dB more than the others).",
     88,
 )
 """What the columns of the channels' table mean."""

@@ -227,8 +227,8 @@ class Problem:
         self, values: Float[np.ndarray, "n"], some: Sequence[str], others: Sequence[str]
     ) -> bool:
         """Whether the program that fits some parameters at `values` fits others too."""
-        acting = (self.model.acting(values, own)[0].names for own in (some, others))
-        return self.slots(some) == self.slots(others) and len(set(acting)) == 1
+        a, b = (self.model.acting(values, own)[0].names for own in (some, others))
+        return a == b and self.slots(some) == self.slots(others)
 
     def residuals_at(
         self, values: Float[np.ndarray, "n"]

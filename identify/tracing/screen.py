@@ -49,6 +49,7 @@ def scores_of(
         values, shapes = _shaped(state, effects, g)
         here = effects if g == 0 else {n: effects[n] for n in shapes}
         along = (*state.free, *(n for e in here.values() for n in strengths(e)))
+        # Another program than the fit's takes longer to compile than it saves.
         if problem.fits_alike(values, along, state.free):
             names, sums = problem.sums_along(values, along, weights)
         else:

@@ -15,8 +15,7 @@ STAGE = 30
 class Stages:
     """The operations that differ by lane and tick, in loops over the lanes.
 
-    Each stage is a function of its own: gcc takes several times as long over one that
-    holds them all.
+    Each stage is a function of its own: gcc's time grows faster than a function does.
 
     Attributes:
         names: what the nodes are called.
@@ -185,7 +184,7 @@ class Stages:
 
         Returns:
             The arrays of what is carried on from round to round for their sake, by its
-            place: a counter that only counts is none of them. And the lines.
+            place (a counter that only counts is none of them), and the lines.
         """
         graph = self.graph
         starts, loop = graph.nodes[at].args, graph.nodes[at].value
