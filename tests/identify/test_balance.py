@@ -201,6 +201,9 @@ def test_lines_in_which_nothing_stands_are_left_out(machine):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(b).max())
 
     assert model.acting(values, ["counterbalance.P_set"])[0].rig.line
+    # One column more takes no other program; one that fills a line does.
+    assert problem.fits_alike(values, (*free, "valve_bias.u_0"), free)
+    assert not problem.fits_alike(values, (*free, "counterbalance.k_1"), free)
     held = np.array(values)
     held[model.names.index("counterbalance.k_2")] = 1e11
     assert model.acting(held)[0].names == model.names
