@@ -90,8 +90,10 @@ def simulate(
     plant.start(x[0], v[0], np.stack([half, first / plant.area[1] + half]))
     cell, a, a_p = plant.forces(0.0, np.zeros(count), servo[0])
     sensors.start(np.stack([*plant.P, cell]))
-    noise = np.random.default_rng(0).normal(size=(n, 4, count))
-    noise *= np.array(list(NOISE.values()))[:, None]
+    noise = np.random.default_rng(0).normal(size=(n, 4, len(o.trials.names)))
+    for one, other in trials.RESPONSES:
+        noise[..., other] = -noise[..., one]
+    noise = noise[..., which] * np.array(list(NOISE.values()))[:, None]
     mark, radius = 2 * np.pi / 2**23, plant.r["radius"]
     memory, out = None, np.empty((n, count))
     for k in range(n):
@@ -117,11 +119,11 @@ def simulate(
 def bands(o: Objective, F: np.ndarray) -> np.ndarray:
     """Bands within 1 dB, to a lag of 90 degrees and of following, Hz, [3, L].
 
-    Of forces [trials, L, N], those of the response at both amplitudes first; the worse.
+    Of the forces of all trials [trials, L, N]; the worse of both amplitudes.
     """
     found = []
-    for i, k in enumerate((trials.RESPONSE, trials.RESPONSE_SMALL)):
-        H = trials.response_of(o.trials, k, F[i])
+    for pair in trials.RESPONSES:
+        H = trials.response_of(o.trials, pair, F[list(pair)])
         inside = TOLERANCE - np.abs(1 - H)
         found.append(verification.bands(o.trials.given.hertz, H, inside))
     return np.min(found, axis=0)
@@ -131,7 +133,7 @@ def promises(o: Objective, folder: Path) -> None:
     """Promised and measured, before and after."""
     made = json.loads((folder / "tune.json").read_text())["gains"]
     after = np.array([made[q.name] for q in o.free])
-    runs = (trials.RESPONSE, trials.RESPONSE_SMALL, trials.MOVING)
+    runs = range(trials.REVERSED_SMALL + 1)
     heads = ("rig", "other", "worst", "other")
     print(f"{'gains':8}{'figure':26}" + "".join(f"{head:>10}" for head in heads))
     for title, gains in (("before", o.initial()), ("after", after)):
@@ -141,7 +143,7 @@ def promises(o: Objective, folder: Path) -> None:
         F = simulate(o, rows, np.repeat(runs, PLANTS), lanes)
         F = F.reshape(len(runs), PLANTS, -1)
         within, lag, follows = bands(o, F)
-        moving = trials.rms_error(o.trials, runs[2], F[2])
+        moving = trials.rms_error(o.trials, trials.MOVING, F[trials.MOVING])
         for name, mine, his, worst in (
             ("follows to, Hz", ours.follows_to, follows, np.min),
             ("within 1 dB, Hz", ours.within_1dB, within, np.min),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hydrojax.report import markup
@@ -275,9 +276,6 @@ def front_figure(t: Tuning) -> Figure:
             (holds, _AFTER, "holds on all plants"),
         ):
             ax.plot(reached[which], worst[which], ".", color=colour, ms=5, label=label)
-        for one, mark, colour, label in marks:
-            at = abs(t.aim.measured(one.figures(None))), getattr(one, name).max()
-            ax.plot(*at, mark, color=colour, mec="black", ms=8, label=label)
         # No noise comes through a loop that a play leaves open.
         if scale == "log" and not np.any(worst > 0):
             scale = "linear"
@@ -291,12 +289,32 @@ def front_figure(t: Tuning) -> Figure:
             min(good.min() - 1.0, 0.0), good.max() + span)  # fmt: skip
         if np.all(np.isfinite(ends)) and (scale == "linear" or ends[0] > 0):
             ax.set_ylim(*ends)
+        for one, mark, colour, label in marks:
+            _marked(
+                ax, abs(t.aim.measured(one.figures(None))), getattr(one, name).max(),
+                marker=mark, color=colour, mec="black", ms=8, ls="", label=label,
+            )  # fmt: skip
+        if not np.any(reached > 0):
+            text = "none of all gains that were tried reaches any"
+            ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", fontsize=8)
         ax.set_ylabel(says, fontsize=9)
         ax.set_xlabel(t.aim.reached, fontsize=9)
         ax.grid(alpha=0.3)
     lines, names = fig.axes[0].get_legend_handles_labels()
     fig.legend(lines, names, loc="outside lower center", ncols=4, fontsize=8)
     return fig
+
+
+def _marked(ax: Axes, x: float, y: float, **style: Any) -> None:
+    """A mark; at the edge of the picture, with its value, where it lies above."""
+    top = ax.get_ylim()[1]
+    if y <= top:
+        ax.plot(x, y, **style)
+        return
+    ax.plot(x, top, clip_on=False, zorder=5, **style)
+    text = f"{y:.3g} ↑" if np.isfinite(y) else "not finite ↑"
+    ax.annotate(text, (x, top), (-8, -4), textcoords="offset points", ha="right",
+                va="top", fontsize=8)  # fmt: skip
 
 
 def html(t: Tuning) -> str:

@@ -148,7 +148,8 @@ def with_unsaid(
         samples[0] = DELAY
         values["valve_delay.tau_u"] = samples * float(setting.loop.h)
         said.append(f"{DELAY_RANGE[0]:g} to {DELAY_RANGE[1]:g} samples of delay")
-    said += _taken_off(rig, values, set(given), set(fitted))
+    if rest := _taken_off(rig, values, set(given), set(fitted)):
+        said[-1] += rest
     if not {"k_fp", "k_fn"} & set(given) and {"k_fp", "k_fn"} <= set(known):
         both = rng.uniform(*PRESLIDING, (2, count))
         both[:, 0] = np.asarray(get(rig, ("k_fp", "k_fn")))
@@ -162,23 +163,23 @@ def with_unsaid(
 
 def _taken_off(
     rig: Rig, values: dict[str, np.ndarray], given: set[str], fitted: set[str]
-) -> list[str]:
+) -> str:
     """Take what a spool is late by at low frequencies off a fitted delay, or a delay
     off a fitted spool, where the other is assumed; in words that it was done.
     """
     spool, delay = values.get("valve_lag.tau"), values.get("valve_delay.tau_u")
     if spool is None or delay is None or len({"valve_lag", "valve_delay"} & given) != 1:
-        return []
+        return ""
     slope = 2 * float(get(rig, ("valve_lag.zeta",))[0])
     if "valve_delay" in fitted & given:
         values["valve_lag.tau"] = np.minimum(spool, delay / slope)
         values["valve_delay.tau_u"] = delay - slope * values["valve_lag.tau"]
-        return ["taken off the delay found"]
+        return ", whose lag is taken off the delay that was found"
     if "valve_lag" in fitted & given:
         values["valve_delay.tau_u"] = np.minimum(delay, slope * spool)
         values["valve_lag.tau"] = spool - values["valve_delay.tau_u"] / slope
-        return ["taken off the spool found"]
-    return []
+        return ", taken off the lag of the spool that was found"
+    return ""
 
 
 def _root(findings: Findings, free: list[str]) -> tuple[Float[np.ndarray, "n n"], str]:
