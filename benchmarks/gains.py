@@ -90,10 +90,8 @@ def simulate(
     plant.start(x[0], v[0], np.stack([half, first / plant.area[1] + half]))
     cell, a, a_p = plant.forces(0.0, np.zeros(count), servo[0])
     sensors.start(np.stack([*plant.P, cell]))
-    noise = np.random.default_rng(0).normal(size=(n, 4, len(o.trials.names)))
-    for one, other in trials.RESPONSES:
-        noise[..., other] = -noise[..., one]
-    noise = noise[..., which] * np.array(list(NOISE.values()))[:, None]
+    noise = np.moveaxis(np.asarray(o.trials.scenarios.noise)[which], 0, -1)
+    noise = noise * np.array(list(NOISE.values()))[:, None]
     mark, radius = 2 * np.pi / 2**23, plant.r["radius"]
     memory, out = None, np.empty((n, count))
     for k in range(n):
@@ -122,8 +120,8 @@ def bands(o: Objective, F: np.ndarray) -> np.ndarray:
     Of the forces of all trials [trials, L, N]; the worse of both amplitudes.
     """
     found = []
-    for pair in trials.RESPONSES:
-        H = trials.response_of(o.trials, pair, F[list(pair)])
+    for k in (trials.RESPONSE, trials.RESPONSE_SMALL):
+        H = trials.response_of(o.trials, k, F[k])
         inside = TOLERANCE - np.abs(1 - H)
         found.append(verification.bands(o.trials.given.hertz, H, inside))
     return np.min(found, axis=0)
@@ -133,7 +131,7 @@ def promises(o: Objective, folder: Path) -> None:
     """Promised and measured, before and after."""
     made = json.loads((folder / "tune.json").read_text())["gains"]
     after = np.array([made[q.name] for q in o.free])
-    runs = range(trials.REVERSED_SMALL + 1)
+    runs = range(trials.MOVING + 1)
     heads = ("rig", "other", "worst", "other")
     print(f"{'gains':8}{'figure':26}" + "".join(f"{head:>10}" for head in heads))
     for title, gains in (("before", o.initial()), ("after", after)):

@@ -73,7 +73,8 @@ def _lines(period: float, top: float, count: int) -> np.ndarray:
 def multisine(
     rate: float, top: float = 100.0, period: float = 2.0, lines: int = 48, seed: int = 0
 ) -> Excitation:
-    """Sines of whole periods and equal size, phases at random; two periods long.
+    """Sines of whole periods and equal size, phases at random; two periods long. The
+    sensors' noise lies between them.
 
     Args:
         rate: of the samples, Hz.
@@ -89,8 +90,23 @@ def multisine(
     shape = np.cos(angle + rng.uniform(0, 2 * np.pi, whole.size)).sum(1)
     shape /= np.sqrt(whole.size / 2)
     weights = np.exp(-1j * angle[:n]).T / n
-    noise = rng.normal(size=(2 * n, 4))
-    return Excitation("multisine", shape, noise, n, whole / period, weights)
+    return Excitation(
+        "multisine", shape, _between(rng, whole, n), n, whole / period, weights
+    )
+
+
+def _between(
+    rng: np.random.Generator, whole: Float[np.ndarray, "lines"], n: int
+) -> Float[np.ndarray, "2n 4"]:
+    """Standard normal numbers of two equal periods of `n`, without what they have at
+    the sines' frequencies.
+
+    It would be taken for a part of the response, and with many sines at a small
+    amplitude that is more than models differ by.
+    """
+    noise = np.fft.rfft(rng.normal(size=(n, 4)), axis=0)
+    noise[whole] = 0.0
+    return np.tile(np.fft.irfft(noise, n, axis=0), (2, 1))
 
 
 def white_noise(

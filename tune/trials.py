@@ -86,13 +86,7 @@ class Trials(NamedTuple):
 
 
 RESPONSE, RESPONSE_SMALL, FORCE_LOCKED, MOVING, MOVING_SMALL = range(5)
-REVERSED, REVERSED_SMALL = 5, 6
 """Places of those that give figures; the others are for the checks alone."""
-
-RESPONSES = ((RESPONSE, REVERSED), (RESPONSE_SMALL, REVERSED_SMALL))
-"""Runs whose mean is a response, at either amplitude. The second run of a pair has the
-sensors' noise of the first with its sign turned, so that what is linear in the noise
-cancels; at the smaller amplitude it would move a band by more than models differ."""
 
 
 def make_trials(setting: Setting) -> Trials:
@@ -113,13 +107,6 @@ def make_trials(setting: Setting) -> Trials:
         ("locked, 0.1 to 20 Hz", random_sines(rng, t, A / np.sqrt(2)), still, ()),
         ("moving", FORCE * slow, moves, turns),
         ("moving, small", SMALL * FORCE * slow, moves, turns),
-        ("locked, noise reversed", A / np.sqrt(2) * sines.shape, still, ()),
-        (
-            "locked, small, noise reversed",
-            SMALL * A / np.sqrt(2) * sines.shape,
-            still,
-            (),
-        ),
         ("steps", A * square, still, steps),
         ("steps, moving", A * square, moves, (*steps, *turns)),
     )
@@ -128,8 +115,8 @@ def make_trials(setting: Setting) -> Trials:
         make_scenario(F_0 + F_d, path, h, P_s, P_r, seed=i)
         for i, (_, F_d, path, _) in enumerate(table)
     ]
-    for one, other in RESPONSES:
-        runs[other] = runs[one]._replace(noise=-runs[one].noise)
+    for k in (RESPONSE, RESPONSE_SMALL):
+        runs[k] = runs[k]._replace(noise=jnp.asarray(sines.noise))
     return Trials(
         tuple(row[0] for row in table),
         jax.tree.map(lambda *a: jnp.stack(a), *runs),
@@ -220,13 +207,13 @@ def rms_error(
 
 
 def response_of(
-    trials: Trials, pair: tuple[int, int], F: Float[np.ndarray, "pair rows N"]
+    trials: Trials, k: int, F: Float[np.ndarray, "rows N"]
 ) -> Complex[np.ndarray, "rows lines"]:
-    """F/F_d of one of `RESPONSES`, the mean of its runs, at `trials.given.hertz`."""
+    """F/F_d of the runs of a trial with many sines, at `trials.given.hertz`."""
     weights, skip = trials.given.weights, trials.given.skip
     assert weights is not None
-    desired = weights @ trials.F_d[pair[0], skip:]
-    return (np.mean(F[..., skip:], axis=0) @ weights.T) / desired
+    desired = weights @ trials.F_d[k, skip:]
+    return (F[:, skip:] @ weights.T) / desired
 
 
 def oscillation(
@@ -245,7 +232,7 @@ def oscillation(
     n, width = round(WINDOW / h), round(1 / SLOW / h)
     half = F.shape[1] // 2
     with np.errstate(over="ignore", invalid="ignore"):
-        if any(k in pair for pair in RESPONSES):
+        if k in (RESPONSE, RESPONSE_SMALL):
             off = (F - np.roll(F, half, axis=-1)) / np.sqrt(2)
             begin = np.arange(half, 2 * half - n + 1, n)
         else:

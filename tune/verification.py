@@ -186,11 +186,10 @@ def _tried(
     t, h = objective.trials, float(objective.setting.loop.h)
     F, u = table[..., 0], table[..., 1]
     found, peaks = [], []
-    for pair in trials.RESPONSES:
-        runs = F[list(pair)]
+    for k in (trials.RESPONSE, trials.RESPONSE_SMALL):
         with np.errstate(over="ignore", invalid="ignore"):
-            H = trials.response_of(t, pair, runs)
-        alive = np.isfinite(H).all(-1) & np.isfinite(runs).all((0, -1))
+            H = trials.response_of(t, k, F[k])
+        alive = np.isfinite(H).all(-1) & np.isfinite(F[k]).all(-1)
         H = np.where(alive[:, None], H, 1e9)
         each = bands(t.given.hertz, H, SURE * tolerance - np.abs(1 - H))
         found.append([np.where(alive, np.minimum(b, most), 0.0) for b in each])

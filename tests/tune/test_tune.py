@@ -368,23 +368,24 @@ def test_a_point_that_is_never_reached_is_unstable():
 
 
 def test_a_response_is_that_without_noise(objective):
-    """At both amplitudes; of one run alone the noise would show."""
+    """At both amplitudes; noise as any other would show."""
     rows, t = objective.rows(objective.initial(), (0.0,)), objective.trials
-    quiet = t.scenarios._replace(noise=0 * t.scenarios.noise)
-
-    def run(k, scenarios):
-        which = np.full(PLANTS, k)
-        return objective.programs.runs(objective.setting, rows, which, scenarios)[
-            ..., 0
-        ]
-
     low = t.given.hertz < 40
-    for pair in trials.RESPONSES:
-        two = np.stack([run(k, t.scenarios) for k in pair])
-        truth = trials.response_of(t, pair, run(pair[0], quiet)[None])[0, low]
-        for F, least, most in ((two, 0.0, 0.005), (two[:1], 0.01, 0.2)):
-            off = np.abs(trials.response_of(t, pair, F)[0, low] - truth)
-            assert least < off.max() < most
+    other = np.random.default_rng(1).normal(size=t.scenarios.noise.shape)
+    for k in (trials.RESPONSE, trials.RESPONSE_SMALL):
+        truth, own, white = (
+            trials.response_of(
+                t,
+                k,
+                objective.programs.runs(
+                    objective.setting, rows, np.full(PLANTS, k),
+                    t.scenarios._replace(noise=jnp.asarray(noise)),
+                )[..., 0],
+            )[0, low]
+            for noise in (0 * other, t.scenarios.noise, other)
+        )  # fmt: skip
+        assert np.abs(own - truth).max() < 0.005
+        assert np.abs(white - truth).max() > 0.01
 
 
 def test_a_sound_plant_keeps_its_tracking_where_another_oscillated():
