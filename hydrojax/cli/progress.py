@@ -96,11 +96,34 @@ def _round(seconds: float) -> str:
     return f"{round(seconds / 60)} min"
 
 
+EVERY = 30.0
+"""Time after which another line is printed where there is no terminal, s."""
+
+
+def _in_lines(console: Console) -> Callable[[str], None]:
+    """What prints what is being done to a log file, one line in `EVERY` at most; none
+    of what is over sooner.
+    """
+    began = said = time.monotonic()
+
+    def say(what: str) -> None:
+        nonlocal said
+        now = time.monotonic()
+        if now - said >= EVERY:
+            console.print(f"{now - began:.0f} s: {what}", highlight=False)
+            said = now
+
+    return say
+
+
 @contextmanager
 def show_stages(console: Console, quiet: bool) -> Iterator[Callable[[str], None]]:
     """A line with the stage, whether something is being compiled, and the time left."""
-    if quiet or not console.is_terminal:  # else a log file gets an empty line
+    if quiet:
         yield lambda _: None
+        return
+    if not console.is_terminal:
+        yield _in_lines(console)
         return
     key = _kind()
     began, seen = time.monotonic(), Stages()
@@ -126,13 +149,15 @@ def show_stages(console: Console, quiet: bool) -> Iterator[Callable[[str], None]
 @contextmanager
 def show_count(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
     """A bar of so many done out of so many, with the time that is left."""
+    if not console.is_terminal:
+        say = _in_lines(console)
+        yield lambda done, total: say(f"{what}: {done} of {total}")
+        return
     compiling = _Compiling()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                _Remaining(), compiling)  # fmt: skip
     end = compiling.listen()
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(what, total=None)
         try:
             yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -51,6 +51,27 @@ def test_the_second_run_knows_how_long_it_will_take(clock, tmp_path):
     assert left.render(task).plain == ""
 
 
+def test_a_log_file_gets_a_line_now_and_then(clock):
+    """Of a run that is over soon, and of a quiet one, none."""
+    for quiet, seconds, said in (
+        (False, 12, ["36 s: search", "72 s: search"]),
+        (False, 3, []),
+        (True, 12, []),
+    ):
+        console = Console(file=io.StringIO(), width=100)
+        with progress.show_stages(console, quiet) as enter:
+            for what in ("fit", "refit", "search") * 2:
+                clock[0] += seconds
+                enter(what)
+        assert console.file.getvalue().splitlines() == said
+    console = Console(file=io.StringIO(), width=100)
+    with progress.show_count(console, "cells") as count:
+        for done in (100, 200, 300):
+            clock[0] += 20
+            count(done, 4096)
+    assert console.file.getvalue() == "40 s: cells: 200 of 4096\n"
+
+
 def test_what_a_run_writes_is_not_what_it_is_given(clock, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["hydrojax", "simulate", "r", "--out", "log.csv"])
