@@ -24,6 +24,10 @@ LONGEST = 0.15
 """The longest delay, s: a field bus, a soft controller and a slow pilot together."""
 
 
+LEAST = 1e-9
+"""Movement of a command that a play of no width sees, {u}: what is less is rounding."""
+
+
 class ValveDelay(CommandDelay):
     """`u(t - tau_u)` of a held command (V13); exact for the mean over a step.
 
@@ -104,15 +108,17 @@ class ValveHysteresis(CommandChannel):
     )
 
     def init(self, u):
-        return u
+        return u, 0 * u
 
     def step(self, memory, u, h):
-        # Where nothing pushes the memory stays, its derivative with it: at u_h = 0
-        # that is the one-sided derivative, which a clip would halve.
-        lag = memory - u
-        stay = jnp.where(lag < -self.u_h, u - self.u_h, memory)
-        out = jnp.where(lag > self.u_h, u + self.u_h, stay)
-        return out, out
+        # Followed is how far the output is from the command, over the play: at u_h = 0
+        # it says where the command went last, which is the one-sided derivative, and
+        # what comes ahead of the play passes it.
+        before, off = memory
+        off = off - (u - before) / jnp.maximum(self.u_h, LEAST)
+        # Not a clip, which would halve a derivative at the ends.
+        off = jnp.where(off > 1, 1.0, jnp.where(off < -1, -1.0, off))
+        return (u, off), u + self.u_h * off
 
 
 class ValveRateLimit(SpoolLimit):

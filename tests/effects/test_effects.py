@@ -110,6 +110,9 @@ class Replay:
         return self._both(rig, np.array([float(n == name) for n in self.names]))
 
 
+OF_RIG = ("beta", "c_p1", "c_n2", "delta", "k_cp", "k_fn")
+"""Parameters of a rig without effects."""
+
 ONE_SENSOR = {
     "pressure_sensor_bias.b_1": (0,),
     "pressure_sensor_bias.b_2": (1,),
@@ -145,13 +148,23 @@ def without(rig, log):
 
 @pytest.fixture(scope="module")
 def replays(log):
-    """One compiled replay per effect, shared by the tests below."""
+    """One compiled replay for every set of effects, shared by the tests below."""
 
     @functools.cache
-    def of(name):
-        return Replay(log, [f"{name}.{field}" for field in specs(EFFECTS[name])])
+    def of(*names):
+        own = [f"{name}.{field}" for name in names for field in specs(EFFECTS[name])]
+        return Replay(log, [*own, *OF_RIG])
 
     return of
+
+
+@pytest.fixture(params=[False, pytest.param(True, marks=pytest.mark.slow)])
+def beside(request):
+    """Which effects stand in the rig beside the one that is tested: all, or none.
+
+    Of each alone a program is compiled, of all together one.
+    """
+    return lambda name: (name,) if request.param else tuple(EFFECTS)
 
 
 def test_the_synthetic_log_wakes_every_mechanism(rig, log, without):
@@ -169,6 +182,15 @@ def test_the_synthetic_log_wakes_every_mechanism(rig, log, without):
 # -- absent, alive, and nothing compiled twice --
 
 
+def test_dormant_effects_are_absent(rig, without, replays):
+    dormant = add(rig, [make(name) for name in EFFECTS])
+    assert np.allclose(replays(*EFFECTS)(dormant)[0], without, rtol=1e-12, atol=1e-9)
+    for name in OF_RIG:  # nor do they change what anything else does
+        (_, alone), (_, among) = replays()(rig, name), replays(*EFFECTS)(dormant, name)
+        assert np.any(alone) and np.allclose(among, alone, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_dormant_effect_is_absent(rig, without, replays, name):
     assert np.allclose(
@@ -177,9 +199,10 @@ def test_dormant_effect_is_absent(rig, without, replays, name):
 
 
 @pytest.mark.parametrize(("name", "field"), STRENGTHS)
-def test_dormant_effect_is_alive(rig, without, replays, name, field):
+def test_dormant_effect_is_alive(rig, without, replays, beside, name, field):
     """The derivative at zero is the one-sided difference, and is not zero."""
-    rig, replay = add(rig, [make(name)]), replays(name)
+    names = beside(name)
+    rig, replay = add(rig, [make(n) for n in names]), replays(*names)
     reached = {n: v for n, v in REACHED.items() if n in parameter_specs(rig)}
     rig = put(rig, list(reached), list(reached.values()))
     strength = f"{name}.{field}"
@@ -203,19 +226,21 @@ def test_dormant_effect_is_alive(rig, without, replays, name, field):
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_new_value_compiles_nothing(rig, replays, name):
+def test_new_value_compiles_nothing(rig, replays, beside, name):
     """A default, a Python float, an integer, NumPy's and JAX's: one program."""
-    replay, dormant = replays(name), add(rig, [make(name)])
+    names = beside(name)
+    replay, dormant = replays(*names), add(rig, [make(n) for n in names])
     replay(dormant)
     before = replay.traces
     fields = {
         field: 0.5 * spec.scale if spec.strength else spec.default
         for field, spec in specs(EFFECTS[name]).items()
     }
-    names, values = [f"{name}.{f}" for f in fields], list(fields.values())
+    own, values = [f"{name}.{f}" for f in fields], list(fields.values())
     for new in (values, np.array(values), jnp.array(values), [0] * len(values)):
-        replay(put(dormant, names, new))
-    replay(add(rig, [EFFECTS[name](**SHAPES.get(name, {}), **fields)]))
+        replay(put(dormant, own, new))
+    given = EFFECTS[name](**SHAPES.get(name, {}), **fields)
+    replay(add(rig, [given if n == name else make(n) for n in names]))
     assert replay.traces == before
 
 
