@@ -292,17 +292,18 @@ def checks(
         named = zip(objective.trials.names, over, strict=True)
         out += [Check(f"{says} in the run {name!r}", each) for name, each in named]
     wide = objective.limits.tracking * WORSE
-    for says, now, was in (
-        ("locked", tried.rms, before.rms),
-        ("moving", tried.rms_moving, before.rms_moving),
-        ("moving, small", tried.small_moving, before.small_moving),
+    for says, k, now, was in (
+        ("locked", trials.FORCE_LOCKED, tried.rms, before.rms),
+        ("moving", trials.MOVING, tried.rms_moving, before.rms_moving),
+        ("moving, small", trials.MOVING_SMALL, tried.small_moving, before.small_moving),
     ):
         i = int(np.argmax(now / was))
         figures = f", {now[i]:.3g} N RMS against {was[i]:.3g} N before"
-        # A plant that oscillated has no tracking to be kept; what makes it sound may
-        # cost the others something, but not all, and the rig itself nothing.
+        # A plant that oscillated in this run has no tracking to be kept; what makes it
+        # sound may cost the others something, but not all, and the rig itself nothing.
         own = was if before.sound else np.append(was[:1], PRICE * was[1:])
-        most = wide * np.where(before.calm, own, np.max(was))
+        calm = (before.eigenvalue < 1) & ~before.oscillates[k]
+        most = wide * np.where(calm, own, np.max(was))
         out.append(Check(f"tracks worse ({says})", beyond(now, most), figures))
     lost = LOST * objective.trials.amplitude[trials.MOVING]
     figures = f", {tried.rms_moving.max():.3g} N RMS"

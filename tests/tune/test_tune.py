@@ -394,10 +394,11 @@ def test_a_sound_plant_keeps_its_tracking_where_another_oscillated():
         trials=SimpleNamespace(names=tuple("abcdefg"), amplitude=np.full(7, 2000.0)),
     )
     swings = np.zeros((7, 3))
-    swings[0, 1] = 2.0
+    swings[[trials.MOVING, trials.MOVING_SMALL], 1] = 2.0
+    swings[trials.RESPONSE, 0] = 2.0  # in another run than those that are compared
     moving = np.array([8.0, 600.0, 9.0])
     was = replace(TRIED, rms_moving=moving, small_moving=moving, swings=swings)
-    assert was.calm.tolist() == [True, False, True] and not was.sound
+    assert was.calm.tolist() == [False, False, True] and not was.sound
 
     def against(*now):
         rms = np.array(now)
