@@ -48,6 +48,7 @@ def test_a_right_model_runs_through_the_whole_log_at_its_noise(outcome):
     assert found.channels["P_a1"].horizons["free"].skill > 0.99
 
 
+@pytest.mark.slow
 def test_the_held_value_is_the_logs_own(outcome):
     found, case, path = outcome
     log = Log.load(path)

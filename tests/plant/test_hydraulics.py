@@ -74,7 +74,9 @@ COMMANDS = np.array([0.1, 1.0, 3.0, 10.0, -0.1, -1.0, -3.0, -10.0])
 @pytest.mark.parametrize(
     ("h", "substeps", "drop"), [(1e-3, 1, 0.0), (1e-2, 7, 0.0), (1e-3, 8, 2e5)]
 )
-@pytest.mark.parametrize("short", [0.01, 0.03, 0.1])
+@pytest.mark.parametrize(
+    "short", [0.01, pytest.param(0.03, marks=pytest.mark.slow), 0.1]
+)
 def test_pressures_settle_next_to_supply_and_return(cylinder, short, h, substeps, drop):
     """Within a tenth of the sensors' noise of what an implicit solver finds.
 

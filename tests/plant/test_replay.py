@@ -121,7 +121,11 @@ def by_steps(rig, log):
 
 
 @pytest.mark.parametrize(
-    ("dress", "substeps"), [(lambda rig: rig, 1), (everything, 2)], ids=["bare", "full"]
+    ("dress", "substeps"),
+    [
+        pytest.param(lambda rig: rig, 1, id="bare"),
+        pytest.param(everything, 2, id="full", marks=pytest.mark.slow),
+    ],
 )
 def test_steps_give_what_the_pieces_give(rig, drive, dress, substeps):
     rig, log = dress(rig), arrays(drive(substeps, jitter=0.05))
@@ -133,7 +137,14 @@ def test_steps_give_what_the_pieces_give(rig, drive, dress, substeps):
     assert np.max(np.abs(steps - whole) / size) < 1e-9
 
 
-@pytest.mark.parametrize("ticks", [0, 7, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "ticks",
+    [
+        pytest.param(0, marks=pytest.mark.slow),
+        7,
+        pytest.param(40, marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("others", [{}, {"valve_lag": 2e-3, "valve_hysteresis": 0.1}])
 def test_a_late_command_is_an_earlier_one(rig, drive, ticks, others):
     """By whole ticks: the command's columns are moved, held at the first."""
