@@ -777,6 +777,30 @@ def test_every_parameter_has_its_derivative(full, batch, columns, plain):
 
 
 @pytest.mark.slow
+def test_every_dormant_effect_has_its_derivative_among_all(rig, batch, plain):
+    """Of what a trace takes its scores from: one-sided, all effects absent at once."""
+    rig = add(rig, map(make, EFFECTS))
+    rig = put(rig, list(REACHED), list(REACHED.values()))
+    model = ParametricRig.of(rig)
+    slots = (model.hydraulic, len(model.names) - model.hydraulic)
+    directions = basis(model, model.names, slots)
+    _, dy = moved(model, model.values, directions, batch, True)
+    here, spec = np.asarray(plain(rig, batch)), parameter_specs(rig)
+    wrong = {}
+    for name, field in STRENGTHS:
+        one = f"{name}.{field}"
+
+        def by(share, one=one):
+            at = put(rig, [one], [spec[one].default + share * spec[one].scale])
+            return (np.asarray(plain(at, batch)) - here) / share
+
+        error = off(dy[model.names.index(one)], 2 * by(5e-4) - by(1e-3))
+        if not error < 2e-3:
+            wrong[one] = error
+    assert not wrong
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "some",
     [
