@@ -29,10 +29,10 @@ PRICE = 1.5
 """How much worse than before a sound plant beside the rig itself may track for the sake
 of one that oscillates, relative."""
 
-SURE = 0.95
-"""Share of a tolerance within which F follows to where a band is promised: another
-simulator of the same plant differs by less (`python -m benchmarks.gains`), but where
-the error is nearly flat about its tolerance a little error is a lot of band."""
+SURE = 0.98
+"""Share of a tolerance within which F follows to where a band is promised: the error in
+another simulator of the same plant differs by less (`python -m benchmarks.gains`). Where
+the error is nearly flat about its tolerance a little of it is a lot of band."""
 
 LOST = 0.5
 """Error with the joint moving, relative to the desired force, RMS, from which on the
