@@ -25,7 +25,8 @@ LONGEST = 0.15
 
 
 LEAST = 1e-9
-"""Movement of a command that a play of no width sees, {u}: what is less is rounding."""
+"""Movement of a command that a play of no width sees ({u}), and share of a play's
+half-width that none does: what is less is rounding."""
 
 
 class ValveDelay(CommandDelay):
@@ -116,8 +117,10 @@ class ValveHysteresis(CommandChannel):
         # what comes ahead of the play passes it.
         before, off = memory
         off = off - (u - before) / jnp.maximum(self.u_h, LEAST)
-        # Not a clip, which would halve a derivative at the ends.
-        off = jnp.where(off > 1, 1.0, jnp.where(off < -1, -1.0, off))
+        # Not a clip, which would halve a derivative at the ends: where the command
+        # stands still there, what is late ahead of the play is still catching up.
+        end = 1 - LEAST
+        off = jnp.where(off > end, 1.0, jnp.where(off < -end, -1.0, off))
         return (u, off), u + self.u_h * off
 
 

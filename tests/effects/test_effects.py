@@ -777,10 +777,12 @@ def test_every_parameter_has_its_derivative(full, batch, columns, plain):
 
 
 @pytest.mark.slow
-def test_every_dormant_effect_has_its_derivative_among_all(rig, batch, plain):
-    """Of what a trace takes its scores from: one-sided, all effects absent at once."""
+@pytest.mark.parametrize("found", [{}, {"valve_hysteresis.u_h": 0.03}])
+def test_every_dormant_effect_has_its_derivative_among_all(rig, batch, plain, found):
+    """Of what a trace takes its scores from: one-sided, all others absent at once."""
     rig = add(rig, map(make, EFFECTS))
-    rig = put(rig, list(REACHED), list(REACHED.values()))
+    here = REACHED | found
+    rig = put(rig, list(here), list(here.values()))
     model = ParametricRig.of(rig)
     slots = (model.hydraulic, len(model.names) - model.hydraulic)
     directions = basis(model, model.names, slots)
@@ -791,7 +793,7 @@ def test_every_dormant_effect_has_its_derivative_among_all(rig, batch, plain):
         one = f"{name}.{field}"
 
         def by(share, one=one):
-            at = put(rig, [one], [spec[one].default + share * spec[one].scale])
+            at = put(rig, [one], [get(rig, [one])[0] + share * spec[one].scale])
             return (np.asarray(plain(at, batch)) - here) / share
 
         error = off(dy[model.names.index(one)], 2 * by(5e-4) - by(1e-3))
