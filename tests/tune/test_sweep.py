@@ -51,6 +51,18 @@ def plan_of(setting, known, words, methods=("linear",), **more):
 # -- quantities --
 
 
+def test_the_noise_of_a_multisine_lies_between_its_sines():
+    given = measure.multisine(1000.0, lines=40)
+    n = given.skip
+    once, again = given.noise[:n], given.noise[n:]
+    np.testing.assert_array_equal(once, again)
+    power = np.abs(np.fft.rfft(once, axis=0)) ** 2 / n
+    sines = np.abs(np.fft.rfft(given.shape[:n])) > 1e-6 * n
+    assert sines.sum() == given.hertz.size
+    assert power[sines].max() < 1e-20
+    assert power[~sines].mean() == pytest.approx(1.0, rel=0.1)
+
+
 def test_every_quantity_is_read_as_it_was_set(setting, known):
     for q in known.values():
         value = 0.5 * float(q.get(setting)) + 0.25
