@@ -48,7 +48,7 @@ def plan_of(setting, known, words, methods=("linear",), **more):
     )  # fmt: skip
 
 
-# -- quantities --
+# -- excitations and quantities --
 
 
 def test_the_noise_of_a_multisine_lies_between_its_sines():
