@@ -31,8 +31,8 @@ of one that oscillates, relative."""
 
 SURE = 0.98
 """Share of a tolerance within which F follows to where a band is promised: the error in
-another simulator of the same plant differs by less (`python -m benchmarks.gains`). Where
-the error is nearly flat about its tolerance a little of it is a lot of band."""
+another simulator of the same plant differs by less (`python -m benchmarks.gains`).
+Where the error is nearly flat about its tolerance a little of it is a lot of band."""
 
 LOST = 0.5
 """Error with the joint moving, relative to the desired force, RMS, from which on the

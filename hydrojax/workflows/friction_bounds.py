@@ -102,8 +102,7 @@ def friction_bounds(
     limits = [(f.lower, f.upper) for f in free]
     box = smallest_box(names, fits, confidence, limits)
     spec = identified(case.spec, state.named)
-    loop = build_loop(spec)
-    loop, scenarios = _scenarios(spec, loop, case.fit_logs)
+    loop, scenarios = _scenarios(spec, build_loop(spec), case.fit_logs)
     plants = _plants(names, fits, loop)
     progress("refine the bounds")
     paper = controller.default_bounds(loop.law.nominal)
@@ -112,12 +111,7 @@ def friction_bounds(
     both = (np.minimum(lowest, box.lower), np.maximum(highest, box.upper))
     ways = {"paper": (lowest, highest), "box": held}
     if case.spec.controller.keys() & set(names):
-        law = loop.law
-        low, high = (
-            np.array([float(getattr(e, n)) for n in names])
-            for e in (law.lower, law.upper)
-        )
-        ways["rig file"] = (low, high)
+        ways["rig file"] = _own(loop, names)
     tried = [
         refine(loop, plants, scenarios, held, limits, names, start, progress)
         for start in (held, both)
@@ -131,17 +125,24 @@ def friction_bounds(
         others = _scenarios(spec, loop, case.check_logs)[1]
         rest = _plants(names, other_fits, loop, seed=1)
         elsewhere = _errors(loop, names, ways, rest, others)
-    judged = elsewhere or fitted
-    proposed = min((way for way in PROPOSED if way in ways), key=judged.__getitem__)
-    keys = {
-        n: [_paper_unit(n, a), _paper_unit(n, b)]
-        for n, a, b in zip(names, *ways[proposed], strict=True)
-    }
+    judged = (elsewhere or fitted).__getitem__
+    proposed = min((way for way in PROPOSED if way in ways), key=judged)
+    ends = zip(names, *ways[proposed], strict=True)
+    keys = {n: [_paper_unit(n, a), _paper_unit(n, b)] for n, a, b in ends}
     file = rewrite(case.spec, state.named, controller=keys)
     coverage = {way: _held(ends, other_fits or fits) for way, ends in ways.items()}
     return Bounds(
         box, fits, other_fits, ways, coverage, proposed, fitted, elsewhere, file
     )
+
+
+def _own(loop: Loop, names: tuple[str, ...]) -> Ends:
+    """The loop's own bounds."""
+    low, high = (
+        np.array([float(getattr(ends, n)) for n in names])
+        for ends in (loop.law.lower, loop.law.upper)
+    )
+    return low, high
 
 
 def _plants(

@@ -67,15 +67,10 @@ def unexplained(
         description = f"{size}; it stands out as a line near {line:.3g} Hz"
     else:
         follows, where = _swells(residual, noise, signals, criteria)
-        description = (
-            f"{size}; no signal of the log goes with {100 * criteria.correlates:.0f} % "
-            "of its variance, "
-        )
-        description += (
-            f"but it is larger where {follows} is {where}"
-            if where
-            else "and it has no spectral line"
-        )
+        share = f"{100 * criteria.correlates:.0f} % of its variance"
+        larger = f"but it is larger where {follows} is {where}"
+        rest = larger if where else "and it has no spectral line"
+        description = f"{size}; no signal of the log goes with {share}, {rest}"
     where = _in_few(residual, noise, places, criteria)
     return Unexplained(
         channel, excess, unit, follows, description + _said_of(where, len(residual)),

@@ -207,29 +207,26 @@ def _round(
             tries = 1  # nothing is left: only what comes as near may be the cause
         if tried[s.name] == "helps":
             helped.append((cost(after, noise), s.name, problem, point, after))
-    state = replace(state, tried=tried)
     if not helped:
-        return state
+        return replace(state, tried=tried)
     helped.sort(key=lambda h: h[0])
     # Of those that do as well the simplest: a constant force, not a weight that turns.
-    best = helped[0][4]
-    near = [h for h in helped if as_good(state, h[4], best, noise)]
+    near = [h for h in helped if as_good(state, h[4], helped[0][4], noise)]
     first = min(near, key=lambda h: len(strengths(effects[h[1]])))
     _, name, problem, point, after = first
     p_value = min(p[name], len(scores) * chance(before, after, noise))
-    alike = tuple(
-        h[1]
-        for h in helped
-        if h is not first and not worse(h[4], after, noise, criteria.worse_by)
-    )
-    rms = state.check.rms
+    others = (h for h in helped if h is not first)
+    by = criteria.worse_by
+    alike = tuple(h[1] for h in others if not worse(h[4], after, noise, by))
+    ends = state.check.rms(before), state.check.rms(after)
     state.progress(f"added {name}")
     return replace(
         state,
         problem=problem,
         point=point,
         free=(*state.free, *free_names(effects[name])),
-        added=(*state.added, Added(name, p_value, rms(before), rms(after), alike)),
+        added=(*state.added, Added(name, p_value, *ends, alike)),
+        tried=tried,
     )
 
 

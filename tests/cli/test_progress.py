@@ -58,18 +58,19 @@ def test_a_log_file_gets_a_line_now_and_then(clock):
         (False, 3, []),
         (True, 12, []),
     ):
-        console = Console(file=io.StringIO(), width=100)
+        out = io.StringIO()
+        console = Console(file=out, width=100)
         with progress.show_stages(console, quiet) as enter:
             for what in ("fit", "refit", "search") * 2:
                 clock[0] += seconds
                 enter(what)
-        assert console.file.getvalue().splitlines() == said
-    console = Console(file=io.StringIO(), width=100)
-    with progress.show_count(console, "cells") as count:
+        assert out.getvalue().splitlines() == said
+    out = io.StringIO()
+    with progress.show_count(Console(file=out, width=100), "cells") as count:
         for done in (100, 200, 300):
             clock[0] += 20
             count(done, 4096)
-    assert console.file.getvalue() == "40 s: cells: 200 of 4096\n"
+    assert out.getvalue() == "40 s: cells: 200 of 4096\n"
 
 
 def test_what_a_run_writes_is_not_what_it_is_given(clock, tmp_path, monkeypatch):
