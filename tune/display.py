@@ -289,14 +289,17 @@ def front_figure(t: Tuning) -> Figure:
             min(good.min() - 1.0, 0.0), good.max() + span)  # fmt: skip
         if np.all(np.isfinite(ends)) and (scale == "linear" or ends[0] > 0):
             ax.set_ylim(*ends)
+        if not np.any(reached > 0):
+            ax.set_xlim(-0.1, 1.0)
+            ax.text(
+                0.97, 0.95, "0 for all gains\nthat were tried", ha="right", va="top",
+                transform=ax.transAxes, fontsize=8,
+            )  # fmt: skip
         for one, mark, colour, label in marks:
             _marked(
                 ax, abs(t.aim.measured(one.figures(None))), getattr(one, name).max(),
                 marker=mark, color=colour, mec="black", ms=8, ls="", label=label,
             )  # fmt: skip
-        if not np.any(reached > 0):
-            text = "none of all gains that were tried reaches any"
-            ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", fontsize=8)
         ax.set_ylabel(says, fontsize=9)
         ax.set_xlabel(t.aim.reached, fontsize=9)
         ax.grid(alpha=0.3)
@@ -313,8 +316,11 @@ def _marked(ax: Axes, x: float, y: float, **style: Any) -> None:
         return
     ax.plot(x, top, clip_on=False, zorder=5, **style)
     text = f"{y:.3g} ↑" if np.isfinite(y) else "not finite ↑"
-    ax.annotate(text, (x, top), (-8, -4), textcoords="offset points", ha="right",
-                va="top", fontsize=8)  # fmt: skip
+    side = 1 if x < np.mean(ax.get_xlim()) else -1
+    ax.annotate(
+        text, (x, top), (8 * side, -4), textcoords="offset points",
+        ha="left" if side > 0 else "right", va="top", fontsize=8,
+    )  # fmt: skip
 
 
 def html(t: Tuning) -> str:
