@@ -122,8 +122,7 @@ def bands(o: Objective, F: np.ndarray) -> np.ndarray:
     found = []
     for k in (trials.RESPONSE, trials.RESPONSE_SMALL):
         H = trials.response_of(o.trials, k, F[k])
-        inside = TOLERANCE - np.abs(1 - H)
-        found.append(verification.bands(o.trials.given.hertz, H, inside))
+        found.append(verification.bands(o.trials.given.hertz, H, TOLERANCE)[:3])
     return np.min(found, axis=0)
 
 

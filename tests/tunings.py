@@ -46,6 +46,7 @@ def tried(edge: float, peak: float, stable: tuple[bool, ...]) -> Tried:
     swings[3] = np.where(alive, 0.0, 2.0)
     return Tried(
         np.array([1.31, 3.2]), band, 2 * band, band / 2,
+        np.stack([band, band / 2]),
         np.array([peak, peak + 1, peak]), 2 * three, np.where(alive, 9.0, 600.0),
         9 * three, np.where(alive, 0.99, 1.02), 0.99 * three, three / 2,
         swings, 0 * swings,
@@ -55,7 +56,9 @@ def tried(edge: float, peak: float, stable: tuple[bool, ...]) -> Tried:
 def judged(edge: float, peak: float, faults: tuple[str, ...] = ()) -> Judged:
     """Three plants in runs, and what is said of them."""
     over = np.array([0.3 if faults else -1.0])
-    return Judged(tried(edge, peak, (True,) * 3), faults, over, peak - 4.0, edge / 2)
+    return Judged(
+        tried(edge, peak, (True,) * 3), faults, over, peak - 4.0, edge / 2, edge / 2
+    )
 
 
 TRIALS = (

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from hydrojax.control.adaptive import Law
 from hydrojax.control.base import RATES
 from hydrojax.programs.compiled import program
 from hydrojax.rigfile.quantities import Quantity, Setting
@@ -104,6 +105,7 @@ class Objective:
         self.carries = self.programs.settle(setting, self.rows(None, (0.0, *SPEEDS)))
         full = self.programs.systems(setting, rows, self.carries)
         self.states = linearize.find_states(full)
+        self._points: Any = None
         self.model: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.before: dict[str, np.ndarray] = {}
         self.before = self.evaluate(self.initial())
@@ -126,6 +128,7 @@ class Objective:
         if setting is not None or values is not None:
             rows = out.rows(None, (0.0, *SPEEDS))
             out.carries = self.programs.settle(out.setting, rows)
+            out._points = None
         return out
 
     def without_runs(self, gains: Float[np.ndarray, "gains"]) -> Objective:
@@ -163,17 +166,30 @@ class Objective:
             np.repeat(np.array([v * self.trials.speed or rest for v in speeds]), m),
         )
 
+    def points(self, gains: Float[np.ndarray, "gains"]) -> tuple[Rows, Any]:
+        """All plants at rest and at `ALL_SPEEDS`, and the memory of each there.
+
+        The paper's law settles with gains of its own, so its points are found once.
+        """
+        speeds = (0.0, *ALL_SPEEDS)
+        rows = self.rows(gains, speeds)
+        if not isinstance(self.setting.loop.law, Law):
+            return rows, self.programs.settle(self.setting, rows)
+        if self._points is None:
+            own = self.rows(None, speeds)
+            self._points = self.programs.settle(self.setting, own)
+        return rows, self._points
+
     def evaluate(
         self, gains: Float[np.ndarray, "gains"]
     ) -> dict[str, Float[np.ndarray, "plants *rest"]]:
         """Metrics of all plants, linearised at rest with the adaptation live.
 
-        `largest_eigenvalue` is the largest over `ALL_SPEEDS` too, the points settled
-        with these gains; `peak_moving` and `sensitivity_moving` are over them.
+        `largest_eigenvalue` is the largest over `ALL_SPEEDS` too, each at its
+        own point; `peak_moving` and `sensitivity_moving` are over them.
         """
-        speeds = (0.0, *ALL_SPEEDS)
-        rows, m = self.rows(gains, speeds), len(self.values)
-        carries = self.programs.settle(self.setting, rows)
+        m = len(self.values)
+        rows, carries = self.points(gains)
         full = self.programs.systems(self.setting, rows, carries)
         largest = linearize.largest_eigenvalue(full).reshape(-1, m).max(0)
         H = linearize.responses(linearize.reduced(full, self.states), self.hertz)

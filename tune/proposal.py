@@ -146,6 +146,7 @@ def judged(
     plant's errors no more than `NEAR_FIRST` times those of `first`, where it is given.
     """
     was, now = _reached(objective, before), _reached(objective, tried)
+    towards = _reached(objective, tried.averaged())
     faults = (
         *against(objective, tried, before),
         *_narrower(objective, now, before, was),
@@ -155,7 +156,7 @@ def judged(
         most = NEAR_FIRST * np.max(getattr(first, name))
         over.append(float(beyond(np.max(getattr(tried, name)), most)))
     steep = float(tried.peak.max()) - (objective.limits.peak_dB + PEAK_SLACK)
-    return Judged(tried, faults, np.array(over), steep / DECIBELS, now)
+    return Judged(tried, faults, np.array(over), steep / DECIBELS, now, towards)
 
 
 def _reached(objective: Objective, tried: Tried) -> float:

@@ -2,7 +2,9 @@
 
 A descent sees the linearised loop and one run. What stands in the way of its gains is
 often another run, on one plant, so the search goes by all of them: first towards gains
-that keep every limit, then to where they reach what is aimed at best.
+that keep every limit, then to where they reach what is aimed at best. Limits of many
+plants leave several separate regions of gains, some of which hold none that keep all: a
+few rounds are spent in each of those found, before the best is searched to its end.
 """
 
 from __future__ import annotations
@@ -29,12 +31,22 @@ far below, where a fast loop is unstable, or near by on either side."""
 AROUND = 6
 """Gains that are tried in a round."""
 
-ROUNDS = 20
-"""At most."""
+FEW, MANY = 8, 30
+"""Rounds in each region, and in those that are searched on, at most."""
+
+REGIONS = (3, 6)
+"""Regions that are looked into where some gains keep all limits, and where none do."""
+
+LAST = 3
+"""Regions that are searched on, the best first, until gains keep all limits."""
+
+APART = 1.0
+"""How far a region begins from where the search in others ended, in the logarithm of
+some group of gains."""
 
 BEGIN, END = 0.35, 0.02
-"""How far the first round goes, of the logarithm of each group of gains, and how far
-none goes any more."""
+"""How far the first round in a region goes, of the logarithm of each group of gains,
+and how far none goes any more."""
 
 FARTHER, CLOSER = 1.5, 0.6
 """How far the next goes after a round that found better gains, and after another."""
@@ -65,6 +77,8 @@ class Judged(NamedTuple):
         over: of each limit, the logarithm of how far it is exceeded; kept up to 0.
         wanted: the same of what is wanted, and need not be kept.
         aim: what is to be as large as it can be.
+        towards: the same, of a band over some tolerances: it changes by little where
+            the band itself jumps, and the search goes by it.
     """
 
     tried: Tried
@@ -72,11 +86,24 @@ class Judged(NamedTuple):
     over: Float[np.ndarray, "limits"]
     wanted: float
     aim: float
+    towards: float
 
     @property
     def rank(self) -> tuple[float, bool, float]:
         """By which gains are compared: the larger the better, figure by figure."""
-        return (-max(float(np.max(self.over)), 0.0), self.wanted <= 0, self.aim)
+        return (-self._excess, self.wanted <= 0, self.aim)
+
+    @property
+    def promise(self) -> tuple[float, bool, float]:
+        """By which the search compares them."""
+        return (-self._excess, self.wanted <= 0, self.towards)
+
+    @property
+    def _excess(self) -> float:
+        """How far all limits together are exceeded. The largest alone would not tell
+        where some more of them could be kept.
+        """
+        return float(np.linalg.norm(np.clip(self.over, 0.0, MOST)))
 
     @property
     def limits(self) -> Float[np.ndarray, "limits"]:
@@ -95,8 +122,10 @@ def search(
 
     First gains that are spread evenly about the present ones and down from them: what
     is proposed may lie far from where a descent ended. Then rounds of sequential linear
-    programming: a model of all limits, fitted to what was tried near the best so far,
-    says which gains keep them and reach most; some at random keep the model alive.
+    programming in some regions that lie apart: a model of all limits, fitted to what
+    was tried near the best there so far, says which gains keep them and reach most;
+    some at random keep the model alive. The search goes on in the best region, and,
+    while no gains keep all limits, in the next.
 
     Args:
         objective: whose gains they are; they stay within `optimize.reach`.
@@ -108,46 +137,97 @@ def search(
     Returns:
         All that was tried, that of `begin` first.
     """
-    low, high = reach(objective)
-    here = origin(objective)
-    rng = np.random.default_rng([seed, 32])
-    found = [*begin]
-    logs = [mean_log(objective, j.tried.gains / here) for j in begin]
-
-    def try_all(these: list[Float[np.ndarray, "groups"]]) -> None:
-        inside = [np.clip(y, low, high) for y in these]
-        logs.extend(inside)
-        found.extend(judge([from_logs(objective, here, y) for y in inside]))
-
+    tries = _Tries(objective, begin, judge, np.random.default_rng([seed, 32]))
     progress("search in runs")
     for down, up in SPREADS:
-        even = qmc.LatinHypercube(low.size, rng=rng).random(WIDE)
-        least, most = np.maximum(low, -np.log(down)), np.minimum(high, np.log(up))
-        try_all(list(least + even * (most - least)))
-    best, radius = _best(found), BEGIN
-    for i in range(ROUNDS):
-        progress(f"search in runs, round {i + 1} of at most {ROUNDS}")
-        y = logs[best]
-        box = low - y, high - y
-        model = _model(np.array(logs) - y, found, best, NEAR * radius)
-        drawn = [
-            y + step
-            for keep in ((slice(None),) if found[best].wanted <= 0 else BOTH)
-            for r in STRIDES
-            if model and (step := _step(*model, keep, r * radius, box)) is not None
-        ]
-        rest = AROUND - len(drawn)
-        drawn += list(y + radius * rng.uniform(-1, 1, (rest, low.size)))
-        try_all(drawn)
-        better = _best(found) != best
-        best, radius = _best(found), radius * (FARTHER if better else CLOSER)
-        if radius < END:
+        tries.spread(down, up)
+    regions: list[_Region] = []
+    while len(regions) < REGIONS[0 if tries.holds else 1]:
+        ended = [tries.logs[r.best] for r in regions]
+        best = tries.best_apart(ended)
+        if best is None:
             break
-    return found
+        progress(f"search in runs, region {len(regions) + 1}")
+        regions.append(tries.rounds(_Region(best, BEGIN, (best,)), FEW))
+    regions.sort(key=lambda r: tries.found[r.best].promise, reverse=True)
+    for i, region in enumerate(regions[:LAST]):
+        progress(f"search in runs, on in region {i + 1}")
+        tries.rounds(region._replace(radius=BEGIN), MANY)
+        if tries.holds:
+            break
+    return tries.found
 
 
-def _best(found: list[Judged]) -> int:
-    return max(range(len(found)), key=lambda i: found[i].rank)
+class _Region(NamedTuple):
+    """Where the search stands in a region: its best and all tried in it, by their
+    places in what was tried, and how far its next round goes.
+    """
+
+    best: int
+    radius: float
+    tried: tuple[int, ...]
+
+
+class _Tries:
+    """What was tried: as it was judged, and the logarithms of its groups of gains."""
+
+    def __init__(self, objective, begin, judge, rng):
+        self.objective, self.judge, self.rng = objective, judge, rng
+        self.low, self.high = reach(objective)
+        self.here = origin(objective)
+        self.found = [*begin]
+        self.logs = [mean_log(objective, j.tried.gains / self.here) for j in begin]
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing speaks against some of it."""
+        return any(not j.faults for j in self.found)
+
+    def add(self, these: list[Float[np.ndarray, "groups"]]) -> None:
+        """Try these logarithms, within reach."""
+        inside = [np.clip(y, self.low, self.high) for y in these]
+        self.logs.extend(inside)
+        gains = [from_logs(self.objective, self.here, y) for y in inside]
+        self.found.extend(self.judge(gains))
+
+    def spread(self, down: float, up: float) -> None:
+        """Try `WIDE`, evenly from `down` times below the present to `up` above."""
+        even = qmc.LatinHypercube(self.low.size, rng=self.rng).random(WIDE)
+        least = np.maximum(self.low, -np.log(down))
+        most = np.minimum(self.high, np.log(up))
+        self.add(list(least + even * (most - least)))
+
+    def best_apart(self, ended: list[Float[np.ndarray, "groups"]]) -> int | None:
+        """The best that lies apart from all where a search ended, if any does."""
+        apart = [
+            i
+            for i, y in enumerate(self.logs)
+            if all(np.max(np.abs(y - e)) > APART for e in ended)
+        ]
+        return max(apart, key=lambda i: self.found[i].promise, default=None)
+
+    def rounds(self, region: _Region, most: int) -> _Region:
+        """At most so many rounds in a region."""
+        best, radius, tried = region
+        for _ in range(most):
+            if radius < END:
+                break
+            y = self.logs[best]
+            box = self.low - y, self.high - y
+            model = _model(np.array(self.logs) - y, self.found, best, NEAR * radius)
+            drawn = [
+                y + step
+                for keep in ((slice(None),) if self.found[best].wanted <= 0 else BOTH)
+                for r in STRIDES
+                if model and (step := _step(*model, keep, r * radius, box)) is not None
+            ]
+            rest = AROUND - len(drawn)
+            drawn += list(y + radius * self.rng.uniform(-1, 1, (rest, y.size)))
+            tried = (*tried, *range(len(self.found), len(self.found) + AROUND))
+            self.add(drawn)
+            now = max(tried, key=lambda i: self.found[i].promise)
+            best, radius = now, radius * (FARTHER if now != best else CLOSER)
+        return _Region(best, radius, tried)
 
 
 BOTH = (slice(None), slice(None, -1))
@@ -175,13 +255,13 @@ def _model(
     near = np.argsort(distance)[1 : 3 * groups + 1]
     near = near[distance[near] <= reaches]
     centre = found[best]
-    if near.size < groups or not np.isfinite(centre.aim):
+    if near.size < groups or not np.isfinite(centre.towards):
         return None
-    size = max(abs(centre.aim), 1e-3)
+    size = max(abs(centre.towards), 1e-3)
     rise = [
         [
             *(found[i].limits - centre.limits),
-            np.clip((found[i].aim - centre.aim) / size, -MOST, MOST),
+            np.clip((found[i].towards - centre.towards) / size, -MOST, MOST),
         ]
         for i in near
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -15,7 +15,7 @@ from hydrojax.jax_setup import cores
 from hydrojax.programs.compiled import program
 from hydrojax.tune import linearize, metrics, trials
 from hydrojax.tune.aims import TOLERANCE
-from hydrojax.tune.objective import ALL_SPEEDS, Objective
+from hydrojax.tune.objective import Objective
 
 DELAY = "valve_delay.tau_u"
 
@@ -33,6 +33,10 @@ SURE = 0.98
 """Share of a tolerance within which F follows to where a band is promised: the error in
 another simulator of the same plant differs by less (`python -m benchmarks.gains`).
 Where the error is nearly flat about its tolerance a little of it is a lot of band."""
+
+ABOUT = tuple(np.linspace(0.85, 1.15, 7))
+"""Of a tolerance, those over which a search takes the mean of a band: a band jumps
+where the error is nearly flat about the tolerance."""
 
 LOST = 0.5
 """Error with the joint moving, relative to the desired force, RMS, from which on the
@@ -62,6 +66,7 @@ class Tried:
         gains: in their units.
         within_1dB, lag_90, follows_to: Hz; 0 where the run is not finite. F follows
             with `SURE` of the tolerance.
+        about: `within_1dB` and `follows_to`, each the mean of those to `ABOUT`.
         peak: dB.
         rms, rms_moving: of F_d - F, locked at 0.1 to 20 Hz, and moving, N.
         small_moving: `rms_moving` at the smaller amplitude, N.
@@ -77,6 +82,7 @@ class Tried:
     within_1dB: Float[np.ndarray, "plants"]
     lag_90: Float[np.ndarray, "plants"]
     follows_to: Float[np.ndarray, "plants"]
+    about: Float[np.ndarray, "2 plants"]
     peak: Float[np.ndarray, "plants"]
     rms: Float[np.ndarray, "plants"]
     rms_moving: Float[np.ndarray, "plants"]
@@ -106,6 +112,10 @@ class Tried:
     def sound(self) -> bool:
         """Whether all of them are."""
         return bool(np.all(self.calm))
+
+    def averaged(self) -> Tried:
+        """The same with each band the mean of those to the tolerances `ABOUT`."""
+        return replace(self, within_1dB=self.about[0], follows_to=self.about[1])
 
     def figures(self, plant: int | None) -> dict[str, float | bool | None]:
         """By tune.json's names, of one plant, or the worst of each figure (None)."""
@@ -167,16 +177,23 @@ def run_trials(
         return list(pool.map(one, range(len(proposals))))
 
 
-bands = program(
-    jax.vmap(
-        lambda hertz, H, off: (
-            metrics.band_within(hertz, H),
-            metrics.first(hertz, metrics.unwrapped(H) + jnp.pi / 2),
-            jnp.where(off[0] < 0, 0.0, metrics.first(hertz, off)),
-        ),
-        in_axes=(None, 0, 0),
-    )
-)
+def _bands(hertz, H, tolerance):
+    """`within_1dB`, `lag_90` and `follows_to` of a response, then both of `about`."""
+    off, dB = jnp.abs(1 - H), jnp.abs(metrics.dB(H))
+
+    def within(most, size):
+        inside = most - size
+        return jnp.where(inside[0] < 0, 0.0, metrics.first(hertz, inside))
+
+    lag = metrics.first(hertz, metrics.unwrapped(H) + jnp.pi / 2)
+    about = [
+        jnp.mean(jnp.stack([within(a * most, size) for a in ABOUT]))
+        for most, size in ((1.0, dB), (tolerance, off))
+    ]
+    return within(1.0, dB), lag, within(tolerance, off), *about
+
+
+bands = program(jax.vmap(_bands, in_axes=(None, 0, None)))
 
 
 def _tried(
@@ -191,10 +208,10 @@ def _tried(
             H = trials.response_of(t, k, F[k])
         alive = np.isfinite(H).all(-1) & np.isfinite(F[k]).all(-1)
         H = np.where(alive[:, None], H, 1e9)
-        each = bands(t.given.hertz, H, SURE * tolerance - np.abs(1 - H))
+        each = bands(t.given.hertz, H, SURE * tolerance)
         found.append([np.where(alive, np.minimum(b, most), 0.0) for b in each])
         peaks.append(metrics.decibels(H).max(-1))
-    within, lag, follows = np.min(found, axis=0)
+    within, lag, follows, *about = np.min(found, axis=0)
     eigenvalue, late, noise = stability(objective, gains)
     swings = np.array([trials.oscillation(t, k, F[k], h) for k in range(len(F))])
     enough = np.maximum(trials.SHARE * t.amplitude[:, None], trials.NOISES * noise)
@@ -204,7 +221,8 @@ def _tried(
         for k in (trials.FORCE_LOCKED, trials.MOVING, trials.MOVING_SMALL)
     )
     return Tried(
-        np.asarray(gains), within, lag, follows, np.max(peaks, axis=0),
+        np.asarray(gains), within, lag, follows, np.array(about),
+        np.max(peaks, axis=0),
         locked, moving, small, eigenvalue, late, noise, swings / enough,
         np.where(t.stepped[:, None], 0.0, at_end.mean(-1)),
     )  # fmt: skip
@@ -218,9 +236,8 @@ def stability(
     Float[np.ndarray, "plants"],
 ]:
     """Largest live eigenvalue as it is and with more delay, and noise of F, N."""
-    speeds, m = (0.0, *ALL_SPEEDS), len(objective.values)
-    rows = objective.rows(gains, speeds)
-    carries = objective.programs.settle(objective.setting, rows)
+    m = len(objective.values)
+    rows, carries = objective.points(gains)
     full = objective.programs.systems(objective.setting, rows, carries)
     largest = linearize.largest_eigenvalue(full).reshape(-1, m).max(0)
     at_rest = jax.tree.map(lambda a: a[:m], full)
