@@ -34,7 +34,7 @@ SURE = 0.98
 another simulator of the same plant differs by less (`python -m benchmarks.gains`).
 Where the error is nearly flat about its tolerance a little of it is a lot of band."""
 
-ABOUT = tuple(np.linspace(0.85, 1.15, 7))
+ABOUT = tuple(np.linspace(0.85, 1.15, 31))
 """Of a tolerance, those over which a search takes the mean of a band: a band jumps
 where the error is nearly flat about the tolerance."""
 
@@ -187,7 +187,7 @@ def _bands(hertz, H, tolerance):
 
     lag = metrics.first(hertz, metrics.unwrapped(H) + jnp.pi / 2)
     about = [
-        jnp.mean(jnp.stack([within(a * most, size) for a in ABOUT]))
+        jnp.mean(jax.vmap(within, (0, None))(most * jnp.array(ABOUT), size))
         for most, size in ((1.0, dB), (tolerance, off))
     ]
     return within(1.0, dB), lag, within(tolerance, off), *about
