@@ -113,7 +113,8 @@ def discover(result: Result, *, progress: Progress = lambda _: None) -> Result:
     each signal of that place, by the rule of the named effects: a family-wise test of
     its score, a refit with all that is free, and a validation error that falls. The
     curves are penalised B-splines whose smoothing is found by restricted likelihood;
-    what the rig's own parameters can follow is left to them.
+    what the rig's own parameters can follow is left to them, and the intervals in
+    `outcome.beside` count what a curve leaves to them or takes from them.
 
     Args:
         result: of `fit` or `trace`; only what it leaves above the noise is looked at.
@@ -154,7 +155,12 @@ def retraced(
     outcome = api.trace_case(result.case, starts, progress, profile)
     spent = result.outcome.seconds
     seconds = {n: s + spent.get(n, 0.0) for n, s in outcome.seconds.items()}
-    outcome = replace(outcome, curves=result.curves, seconds=seconds)
+    outcome = replace(
+        outcome,
+        curves=result.curves,
+        beside=result.outcome.beside,
+        seconds=seconds,
+    )
     known = result.outcome.inputs
     if any(f.mended for f in known):  # in that case nothing of it is left to be found
         outcome = with_inputs(outcome, known)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +20,7 @@ from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.report.figures import every_parameter, judged
 from hydrojax.identify.report.write import plot, result_html, write_report
 from hydrojax.identify.results.curve import FoundCurve
-from hydrojax.identify.results.outcome import FoundEffect, Outcome
+from hydrojax.identify.results.outcome import FoundEffect, Outcome, Parameter
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant.rig import Rig
 from hydrojax.report.text import p_equation
@@ -60,21 +61,15 @@ class Result:
         interval), `unit` (of these four, SI), `identified`, `free` (whether it was
         fitted), `at_bound` (whether it hit a limit of its range).
         """
-        none = (np.nan, np.nan)
-        rows = {
-            name: {
-                "value": p.value,
-                "std": np.nan if p.std is None else p.std,
-                "low": (p.interval or none)[0],
-                "high": (p.interval or none)[1],
-                "unit": p.unit,
-                "identified": p.identified,
-                "free": p.free,
-                "at_bound": p.at_bound,
-            }
-            for name, p in every_parameter(self.outcome).items()
-        }
-        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
+        return _frame(every_parameter(self.outcome))
+
+    @cached_property
+    def beside(self) -> pd.DataFrame:
+        """As `parameters`, those that were fitted, with the curves in place; see
+        `hydrojax.discover`. A curve and the parameters share what both can follow: the
+        intervals count it. No rows where there is no curve.
+        """
+        return _frame(self.outcome.beside)
 
     @cached_property
     def channels(self) -> pd.DataFrame:
@@ -209,6 +204,9 @@ class Result:
             ["effects", *found] if found else [],
             ["curves beside the known effects", *beside] if beside else [],
             [_table(fitted)],
+            ["with the curves in place", _table(self.beside.drop(columns="free"))]
+            if o.beside
+            else [],
             [f"- {line}" for line in (*says, *o.limits, *o.notes)],
         ]
         width = max(len(line) for line in parts[5][0].splitlines())
@@ -276,6 +274,25 @@ class Result:
     def _repr_html_(self) -> str:
         """What a notebook shows."""
         return result_html(self.outcome)
+
+
+def _frame(parameters: Mapping[str, Parameter]) -> pd.DataFrame:
+    """One row a parameter, by name."""
+    none = (np.nan, np.nan)
+    rows = {
+        name: {
+            "value": p.value,
+            "std": np.nan if p.std is None else p.std,
+            "low": (p.interval or none)[0],
+            "high": (p.interval or none)[1],
+            "unit": p.unit,
+            "identified": p.identified,
+            "free": p.free,
+            "at_bound": p.at_bound,
+        }
+        for name, p in parameters.items()
+    }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
 
 
 def _wrapped(lines: list[str], width: int) -> str:

@@ -140,7 +140,7 @@ def run(folder: Path, kind: str, traced: bool) -> Row:
             | banded(end, c, truth)
             for c in outcome.curves
         ],
-        "parameters": intervals(end, truth["rig"]),
+        "parameters": intervals(outcome, truth["rig"]),
         "seconds": spent,
     }
 
@@ -178,32 +178,16 @@ def banded(end: Any, found: Any, truth: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def intervals(end: Any, rig: Mapping[str, float]) -> dict[str, float]:
-    """How many standard deviations each of the rig's parameters lies off its truth,
-    with the curves in place.
+def intervals(outcome: Any, rig: Mapping[str, float]) -> dict[str, float]:
+    """How many standard deviations each of the rig's parameters lies off its truth, as
+    reported: with the curves in place, where there are any. Without those that are said
+    not to be identified.
     """
-    from dataclasses import replace
-
-    from hydrojax.identify.discovery.search import known_of
-    from hydrojax.identify.inference.uncertainty import estimate_uncertainty
-
-    state = end.state
-    known = known_of(state.problem, end.curves, state.free)
-    # Smoothing counts as what is known of each coefficient by itself.
-    prior = {
-        n: float(1 / np.sqrt(max(known.curvature[i, i], 1e-30)))
-        for i, n in enumerate(known.names)
-    }
-    free = {
-        n: replace(f, prior=prior.get(n, f.prior))
-        for n, f in state.problem.free.items()
-    }
-    problem = replace(state.problem, free=free)
-    found = estimate_uncertainty(problem, state.point, state.free)
+    found = outcome.beside or outcome.parameters
     return {
-        n: abs(state.named[n] - v) / std
+        n: abs(found[n].value - v) / found[n].std
         for n, v in rig.items()
-        if (std := found.std.get(n)) is not None and n not in found.unidentifiable
+        if n in found and found[n].identified and found[n].std is not None
     }
 
 

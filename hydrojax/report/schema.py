@@ -77,6 +77,11 @@ class Report(Part):
         description="curves for what no known effect explains, where they were asked "
         "for (`trace --discover`)",
     )
+    beside: dict[Name, ParameterRecord] = Field(
+        {},
+        description="the fitted parameters with the curves in place; their intervals "
+        "count what a curve may leave to them, or take from them",
+    )
     candidates: list[CandidateRecord] = Field(
         [], description="every effect that was tried, and what became of it"
     )

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.identify.case import Case
+from hydrojax.identify.discovery.beside import parameters_beside
 from hydrojax.identify.discovery.free_form import FORMS, SLIPS, deflection_name
 from hydrojax.identify.discovery.laid import laid_over
 from hydrojax.identify.discovery.search import Search, search
@@ -113,11 +114,11 @@ def searched(
     laid = laid_over({name: own for name, own in fit.items() if name in check})
     end = search(start, laid)
     curves = found_curves(end, start, case, fit, check)
-    notes = outcome.notes
     if not curves:
-        notes = (
-            *notes,
+        said = (
             f"{len(laid)} curves, over every signal at every place, were tried for "
-            "what the known effects leave: none lowers the validation error enough",
+            "what the known effects leave: none lowers the validation error enough"
         )
-    return end, replace(outcome, curves=curves, notes=notes)
+        return end, replace(outcome, notes=(*outcome.notes, said))
+    beside = parameters_beside(end, case)
+    return end, replace(outcome, curves=curves, beside=beside)

@@ -99,10 +99,10 @@ def at_noise(state: Tracing, noise: Float[np.ndarray, "3"]) -> bool:
     return bool(np.all((rms <= state.criteria.at_noise * noise)[np.isfinite(noise)]))
 
 
-def above_noise(state: Tracing, inflation: float) -> float:
+def above_noise(state: Tracing, inflation: float, chances: float = 1.0) -> float:
     """Chi-square, in the present weights, that is left above the noise: that of the
-    validation errors, over as many rows as are fitted, and one standard deviation of
-    its chance, under which as much may lie unseen.
+    validation errors, over as many rows as are fitted, and `chances` standard
+    deviations of its chance: with one, what may lie unseen under it counts.
 
     `inflation` is the variance of the scores over that of white residuals.
     """
@@ -113,7 +113,8 @@ def above_noise(state: Tracing, inflation: float) -> float:
     rows = float(np.sum(batch.weight)) * batch.windows.measured.shape[1]
     over = np.maximum(rms**2 - noise**2, 0.0) / weights**2
     spread = np.sum((noise / weights) ** 4)
-    return float(rows * np.sum(over) + np.sqrt(2 * rows * inflation * spread))
+    chance = np.sqrt(2 * rows * inflation * spread)
+    return max(float(rows * np.sum(over) + chances * chance), 0.0)
 
 
 def columns_of(

@@ -24,6 +24,10 @@ TOLD = 0.02
 """Share of a direction's squares that must be left by the projection for the direction
 to be the curve's own, 1."""
 
+HIDDEN = 2.0
+"""What the fitted parameters have taken of a curve, over what is seen of it, as a
+standard deviation: a line has nearly four times as much of `v abs(v)` as is left."""
+
 TRIED = np.logspace(-6, 6, 49)
 """Smoothing parameters that are tried, over the ratio of curvature and penalty."""
 
@@ -97,12 +101,14 @@ class Smooth:
 
     Attributes:
         penalty: matrix that is added to `H`.
+        rough: the part of it by roughness.
         c: the coefficients that it gives, to first order.
         gain: fall of chi-square with them.
         degrees: effective degrees of freedom.
     """
 
     penalty: Float[np.ndarray, "k k"]
+    rough: Float[np.ndarray, "k k"]
     c: Float[np.ndarray, "k"]
     gain: float
     degrees: float
@@ -134,7 +140,7 @@ def smoothed(columns: Columns) -> Smooth:
         if likelihood > best:
             gain = -float(2 * g @ c + c @ H @ c)
             degrees = float(np.trace(np.linalg.solve(A, H)))
-            best, out = likelihood, Smooth(penalty, c, gain, degrees)
+            best, out = likelihood, Smooth(penalty, tried * rough, c, gain, degrees)
     assert out is not None
     return out
 
@@ -151,6 +157,31 @@ def covariance(
     part = own @ own.T @ columns.whole
     V = columns.inflation * np.linalg.inv(columns.H + smooth.penalty)
     return part @ V @ part.T, part
+
+
+def pull(
+    columns: Columns,
+    smooth: Smooth,
+    c: Float[np.ndarray, "k"],
+    line: Float[np.ndarray, "k"],
+) -> Float[np.ndarray, "k k"]:
+    """Covariance of the gradient by which its penalties draw a curve off the truth, and
+    with it what is fitted beside it.
+
+    A curve of coefficients `c` shows what the fitted parameters cannot follow; the rest
+    of the truth is in these, and no log tells how large it is. It is taken to be
+    `HIDDEN` times what is seen, as rough as that, and as far from zero as a line of the
+    curve's slope through zero is where the signal is: `line` are the coefficients of
+    the signal itself. A level that rises with pressure has risen from none.
+    """
+    W, noise, k = columns.whole, columns.inflation, len(c)
+    size = max(HIDDEN**2 * float(c @ W @ c), noise)
+    nowhere = 1e-9 * np.trace(W) / k * np.eye(k)
+    truth = noise * np.linalg.inv(smooth.rough + noise / size * (W + nowhere))
+    apart = line - np.sum(W @ line) / max(np.sum(W), 1e-300)
+    slope = float(apart @ W @ c) / max(float(apart @ W @ apart), 1e-300)
+    truth = truth + slope**2 * np.outer(line, line)
+    return smooth.penalty @ truth @ smooth.penalty
 
 
 def band(

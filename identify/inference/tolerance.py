@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from hydrojax.effects import EFFECTS
 from hydrojax.identify.estimation.columns import ParametricRig, batch_of
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.inference.uncertainty import Uncertainty, curvature
 from hydrojax.identify.preparation.data import Data, prepare_logs
 from hydrojax.identify.tracing.state import Tracing
+from hydrojax.plant.places import PLACES
 from hydrojax.rigfile.build import build_rig
 from hydrojax.rigfile.schema import RigFile
 
@@ -115,5 +117,7 @@ def _with(case: Case, problem: Problem, key: str, by: float) -> Problem:
         batch = batch_of(data)._replace(P_0=problem.batch.P_0)
         return replace(problem, batch=batch)
     there = {n.split(".")[0] for n in problem.model.names if "." in n}
-    rig = build_rig(new, there - set(spec.effects))
+    own = (e for place in PLACES for e in getattr(problem.model.rig, place))
+    curves = [e for e in own if e.name in there - set(EFFECTS)]
+    rig = build_rig(new, there & set(EFFECTS) - set(spec.effects), curves)
     return replace(problem, model=ParametricRig.of(rig))

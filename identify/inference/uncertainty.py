@@ -42,13 +42,19 @@ class Uncertainty:
 
 
 def estimate_uncertainty(
-    problem: Problem, point: FitPoint, free: Sequence[str]
+    problem: Problem,
+    point: FitPoint,
+    free: Sequence[str],
+    pull: Float[np.ndarray, "free free"] | None = None,
 ) -> Uncertainty:
     """What the logs say of the free parameters at a fit.
 
     The covariance is `H^-1 (sum of s s^T) H^-1` over windows as clusters (s a window's
     score), so it holds when residuals are correlated inside a window or above the
     noise; times W/(W - k) for the fitted parameters. Priors count in H.
+
+    `pull` is the covariance of gradients that no window's score shows, in units of the
+    scales: of what draws a fit off the truth in all windows alike.
     """
     names = problem.model.names
     gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
@@ -69,7 +75,10 @@ def estimate_uncertainty(
             inside.append(name)
     columns = np.array([names.index(n) for n in inside], dtype=int)
     scale = problem.model.scale[columns]
-    covariance, H = _covariance(problem, gram, inside, columns)
+    if pull is not None:
+        at = [list(free).index(n) for n in inside]
+        pull = pull[np.ix_(at, at)]
+    covariance, H = _covariance(problem, gram, inside, columns, pull)
     std: dict[str, float | None] = {name: None for name in free}
     unidentifiable: list[str] = []
     for i, name in enumerate(inside):
@@ -112,14 +121,22 @@ def is_whole(own: Free, spec: Spec) -> bool:
     return spec.whole and own.upper >= spec.upper
 
 
-def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]:
+def _covariance(
+    problem, gram, inside, columns, pull=None
+) -> tuple[np.ndarray, np.ndarray]:
     """Covariance and curvature, [k, k], in units of the scales."""
     r = gram.shape[1] - 1
     H = gram.sum(axis=0)[np.ix_(columns, columns)]
-    for i, name in enumerate(inside):
-        prior = problem.free[name].prior
-        if prior:
-            H[i, i] += (problem.model.scale[columns[i]] / prior) ** 2
+    known = problem.known
+    if known is None:
+        for i, name in enumerate(inside):
+            prior = problem.free[name].prior
+            if prior:
+                H[i, i] += (problem.model.scale[columns[i]] / prior) ** 2
+    else:  # it has the priors in it
+        own = [i for i, name in enumerate(known.names) if name in inside]
+        at = [inside.index(known.names[i]) for i in own]
+        H[np.ix_(at, at)] += known.curvature[np.ix_(own, own)]
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     values, vectors = np.linalg.eigh(H / np.outer(size, size))
     seen = values > problem.criteria.unseen_direction
@@ -131,7 +148,8 @@ def _covariance(problem, gram, inside, columns) -> tuple[np.ndarray, np.ndarray]
     # A direction that no residual sees has no scores either.
     unseen = vectors[:, ~seen]
     nothing = unseen @ unseen.T * problem.criteria.unseen_std**2
-    return strong @ (few * s.T @ s) @ strong + nothing, H
+    spread = few * s.T @ s + (0.0 if pull is None else pull)
+    return strong @ spread @ strong + nothing, H
 
 
 def _at_end(name: str, end: str, own: Free, spec: Spec) -> str:

@@ -136,18 +136,20 @@ def result_html(outcome: Outcome) -> str:
          times_noise(c.after, c.noise), standing(c, outcome.criteria.at_noise))
         for name, c in outcome.channels.items()
     ]  # fmt: skip
-    found = [
-        (name, quantity_text(p.value, p.unit, p.std), _interval(p), remarks(p))
-        for name, p in figures.every_parameter(outcome).items()
-        if p.free
-    ]
+    heads = ("parameter", "value ± std", "95 % interval", "")
+    found, beside = (
+        [(name, quantity_text(p.value, p.unit, p.std), _interval(p), remarks(p))
+         for name, p in every.items() if p.free]
+        for every in (figures.every_parameter(outcome), outcome.beside)
+    )  # fmt: skip
     return markup.block(
         markup.paragraph(outcome.sentence, f"{outcome.rig}: {outcome.verdict}."),
         markup.table(
             ("effect", "parameter", "value ± std", "p", "cannot tell from"), effects
         ),
         markup.table(("channel", "noise", "before", "after", "", ""), channels),
-        markup.table(("parameter", "value ± std", "95 % interval", ""), found),
+        markup.table(heads, found),
+        markup.table(("beside the curves", *heads[1:]), beside),
     )
 
 

@@ -308,7 +308,8 @@ class Outcome:
     all parameters by name, SI, as stored; `criteria` the thresholds that decided;
     `inputs` what looks wrong with rig file and logs. `validate_logs` are empty where
     none were given: errors are then those of the fitted logs. `files` are the logs;
-    `curves` what was found beside the known effects, where it was asked for; `motion`
+    `curves` what was found beside the known effects, where it was asked for, and
+    `beside` the fitted parameters with these in place; `motion`
     what a rig file predicts of it, which no verdict counts; `long_runs` values for
     longer runs, where those found have no skill through whole logs; `tolerated` the
     effects in the model that lie within the tolerance of a constant that is the same,
@@ -339,6 +340,7 @@ class Outcome:
     inputs: tuple[Finding, ...] = ()
     files: tuple[LogFile, ...] = ()
     curves: tuple[FoundCurve, ...] = ()
+    beside: Mapping[str, Parameter] = field(default_factory=dict)
     motion: PredictedMotion | None = None
     long_runs: LongRuns | None = None
     tolerated: tuple[str, ...] = ()

@@ -40,6 +40,11 @@ def report_json(outcome: Outcome) -> dict[str, Any]:
         "channels": {n: _channel(c) for n, c in o.every_channel.items()},
         "effects": [_effect(e) | _drawn(e, o.curves) for e in o.effects],
         "curves": [_curve(c) for c in o.curves],
+        **(
+            {"beside": {n: _parameter(p) for n, p in o.beside.items()}}
+            if o.beside
+            else {}
+        ),
         "candidates": [asdict(c) for c in o.candidates],
         "unexplained": [_unexplained(u) for u in o.unexplained],
         **({"motion": _motion(o.motion)} if o.motion else {}),

@@ -1,5 +1,6 @@
 """Curves from sums: smoothing, bands and formulas against regressions in NumPy."""
 
+import json
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -17,8 +18,14 @@ from hydrojax.identify.discovery.smooth import (
     band,
     covariance,
     directions,
+    pull,
     smoothed,
 )
+from hydrojax.identify.estimation.fit import FitPoint
+from hydrojax.identify.estimation.known import Free, Known
+from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.inference import uncertainty
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.state import Tracing
 
@@ -83,6 +90,86 @@ def test_a_curve_lies_in_its_band(name, noise):
         assert np.std(off) < 0.06 + 0.05 * noise
     assert np.mean(inside) > 0.9
     assert np.mean(width) < 1.0
+
+
+def off_beside(law, seed, centre, lines):
+    """Of a regression on 1 (and s) with a smooth curve beside: by how many standard
+    deviations each is off, and its relative width.
+    """
+    rng = np.random.default_rng(seed)
+    s = centre + rng.uniform(-2, 2, WINDOWS * TICKS)
+    truth = np.array([0.7, 1.3])[:lines]
+    X = np.vander(s, lines, increasing=True)
+    y = X @ truth + law(s) + NOISE * rng.normal(size=s.size)
+    knots = knots_over(s, COUNT)
+    B = BSpline.design_matrix(np.clip(s, knots[0], knots[-1]), knots, 3).toarray()
+
+    def curve_beside(c):
+        left = y - B @ c
+        left -= X @ np.linalg.lstsq(X, left, rcond=None)[0]
+        rows = np.column_stack([-X, -B, left]).reshape(WINDOWS, TICKS, -1) / NOISE
+        gram = np.einsum("wti,wtj->wij", rows, rows)
+        projection = Projection(gram, range(lines), np.zeros(lines + COUNT))
+        columns = Columns.of(projection, list(range(lines, lines + COUNT)), c)
+        return columns, smoothed(columns)
+
+    columns, smooth = curve_beside(np.zeros(COUNT))
+    for _ in range(2):
+        columns, smooth = curve_beside(smooth.c)
+    every = np.column_stack([X, B]) / NOISE
+    H = every.T @ every
+    own = slice(lines, None)
+    A, spread = H.copy(), H.copy()
+    A[own, own] += smooth.penalty
+    found = np.linalg.solve(A, every.T @ y / NOISE)
+    line = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
+    spread[own, own] += pull(columns, smooth, found[own], line)
+    inverse = np.linalg.inv(A)
+    std = np.sqrt(np.diag(inverse @ spread @ inverse))[:lines]
+    return (found[:lines] - truth) / std, std
+
+
+@pytest.mark.parametrize("name", [*LAWS, "rise", "nothing"])
+def test_what_is_fitted_beside_a_curve_lies_in_its_interval(name):
+    """What a law has of the fitted columns goes to them: the intervals count it, and
+    are no wider than the law is large.
+    """
+    laws = {**LAWS, "rise": lambda s: 0.2 * s, "nothing": lambda s: 0 * s}
+    # A level that rises with a pressure that is never near zero.
+    centre, lines = (30.0, 1) if name == "rise" else (0.0, 2)
+    found = [off_beside(laws[name], seed, centre, lines) for seed in range(10)]
+    off = np.array([z for z, _ in found])
+    # Of s abs(s) a line has most: it lies at the very end.
+    assert np.mean(np.abs(off) < (2.1 if name == "drag" else 1.96)) > 0.93
+    s = np.linspace(centre - 2, centre + 2, 99)
+    most = 2 * np.max(np.abs(laws[name](s))) + NOISE
+    assert np.max([std for _, std in found]) < most
+
+
+def test_what_is_known_and_what_pulls_count_in_an_interval(monkeypatch):
+    """Two fitted parameters and a coefficient that is known: by normal equations."""
+    monkeypatch.setattr(uncertainty, "parameter_specs", lambda rig: {})
+    rng = np.random.default_rng(5)
+    X = rng.normal(size=(WINDOWS, TICKS, 3))
+    left = rng.normal(size=(WINDOWS, TICKS)) + rng.normal(size=(WINDOWS, 1))
+    rows = np.concatenate([-X, left[..., None]], axis=-1)
+    gram = np.einsum("wti,wtj->wij", rows, rows)
+    names, scale = ("a", "b", "c"), np.array([1.0, 10.0, 2.0])
+    held = np.array([[700.0, 300.0], [300.0, 4000.0]])
+    problem = Mock(spec=Problem, criteria=Criteria())
+    problem.model = Mock(names=names, scale=scale)
+    problem.free = {n: Free(0.5, -9.0, 9.0) for n in names}
+    problem.known = Known(("c", "b"), np.zeros(2), held)
+    problem.sums_at.return_value.gram = gram
+    point = FitPoint(np.full(3, 0.5), np.ones(3), 0, True)
+    pulled = np.diag([0.0, 5e4, 9e5])
+    found = uncertainty.estimate_uncertainty(problem, point, names, pulled)
+    A = np.einsum("wti,wtj->ij", X, X)
+    A[1:, 1:] += held[::-1, ::-1]
+    s = np.einsum("wti,wt->wi", X, left)
+    spread = s.T @ s * WINDOWS / (WINDOWS - 3) + pulled
+    want = np.linalg.inv(A) @ spread @ np.linalg.inv(A) * np.outer(scale, scale)
+    np.testing.assert_allclose(found.covariance, want, rtol=1e-6)
 
 
 def test_what_stands_above_the_noise():
@@ -183,7 +270,8 @@ def test_a_hysteretic_tether_is_found_as_a_curve(recorded):
 
     logs = [tethered(f"fit_{i}.csv") for i in (1, 2)]
     result = hj.fit(rig, logs, validate=[tethered("validate.csv")])
-    (curve,) = hj.discover(result).outcome.curves
+    discovered = hj.discover(result)
+    (curve,) = discovered.curves
     assert curve.name == "free_hysteresis_w_1000um"
     noise = result.outcome.channels["F"].noise
     assert curve.before["F"] > 1.3 * noise and curve.after["F"] < 1.05 * noise
@@ -191,3 +279,7 @@ def test_a_hysteretic_tether_is_found_as_a_curve(recorded):
     off = np.interp(curve.rug, curve.s, curve.y) - law
     assert np.std(off) < 0.04 * most
     assert "w**3" in curve.law
+    truth = json.loads((folder / "truth.json").read_text())["rig"]
+    told = discovered.beside[lambda rows: rows["identified"]]
+    off = [abs(told.at[n, "value"] - truth[n]) / told.at[n, "std"] for n in told.index]
+    assert len(off) > 10 and np.mean(np.array(off) < 1.96) > 0.85

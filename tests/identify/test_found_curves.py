@@ -19,6 +19,7 @@ from hydrojax.cli.options import load_effects as take
 from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.effects.splines import knots_over
 from hydrojax.errors import InputError
+from hydrojax.identify.case import Case
 from hydrojax.identify.discovery.effect_file import (
     FoundLaw,
     effect_file,
@@ -27,7 +28,7 @@ from hydrojax.identify.discovery.effect_file import (
 )
 from hydrojax.identify.discovery.formula import FORMS, Formula
 from hydrojax.identify.discovery.free_form import TERMS
-from hydrojax.identify.report.write import plot, write_report
+from hydrojax.identify.report.write import plot, result_html, write_report
 from hydrojax.identify.result import Result
 from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.identify.results.outcome import (
@@ -312,3 +313,22 @@ def test_the_report_is_there_where_the_catalogue_cannot_be_written(
             Mock(), result, tmp_path / "out", False, True, (), tmp_path / "file" / "c"
         )
     assert (tmp_path / "out" / "report.json").exists()
+
+
+def test_a_report_holds_the_parameters_beside_a_curve(tmp_path):
+    wide = Parameter(
+        905.0, "N", "level", 800.0, True, 70.0, (767.8, 1042.2), identified=True
+    )
+    own = replace(outcome(found(law("free_level_v", bell()))), beside={"k_cp": wide})
+    write_report(own, tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    jsonschema.validate(report, report_schema())
+    assert report["beside"]["k_cp"]["interval"] == [767.8, 1042.2]
+    assert report["parameters"]["k_cp"]["value"] == 900.0
+    page = (tmp_path / "report.html").read_text()
+    assert "With the curves in place" in page and "905" in page
+    assert "beside the curves" in result_html(own)
+    assert "beside the curves" not in result_html(outcome())
+    shown = Result(own, Mock(spec=Case))
+    assert shown.beside.loc["k_cp", "std"] == 70.0
+    assert "with the curves in place" in shown.summary()
