@@ -75,6 +75,12 @@ def laws(name: str, e: Mapping[str, float], rig: Mapping[str, float]) -> dict[st
         return {"free_flow_P": lambda P: -e["c_el"] * (P - 2.5e5)}
     if name == "internal_leakage":
         return {"free_flow_across_P_net": lambda P: e["c_il"] * P}
+    if name == "scored_bore":
+        return {
+            "free_flow_across_per_P_net_x": lambda x: (
+                e["c_il"] * np.exp(-((x / e["width"]) ** 2))
+            )
+        }
     if name == "entrained_air":
 
         def air(P: np.ndarray) -> np.ndarray:

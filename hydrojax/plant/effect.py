@@ -283,6 +283,8 @@ class LevelEffect(Effect):
 
     place = "level"
     needs = ("F",)
+    of_turns: ClassVar[bool] = False
+    """Whether it asks for `at.since` and `at.way`, which are then remembered."""
 
     def level(
         self, at: Sliding, base: Float[Array, "*batch"]
@@ -296,6 +298,8 @@ class FrictionForce(Effect):
 
     place = "friction"
     needs = ("F",)
+    of_turns: ClassVar[bool] = False
+    """Whether it asks for `at.since` and `at.way`, which are then remembered."""
 
     def force(self, at: Sliding) -> Float[Array, "*batch"]:
         """Friction force beside the paper's f_c, N."""

@@ -21,7 +21,13 @@ from jaxtyping import Array, Float, Int
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Lines, Point, refilled
 from hydrojax.plant.effect import CommandDelay, SpoolLimit
-from hydrojax.plant.friction import Sliding, run_linear, run_stop
+from hydrojax.plant.friction import (
+    Sliding,
+    Turned,
+    run_linear,
+    run_stop,
+    run_turned,
+)
 from hydrojax.plant.hydraulics import follow_drops, pressure_step, settled_drops
 from hydrojax.plant.rig import PARTS, Rig, mean_opening
 from hydrojax.plant.scan import scan_in_blocks
@@ -89,14 +95,15 @@ class Windows(NamedTuple):
 class Past(NamedTuple):
     """What friction sees of the motion up to every tick, [S, N] each; SI.
 
-    `z` the bristle's deflection, `v` the piston's velocity; `speed` and `slips` as in
-    `State`.
+    `z` the bristle's deflection, `v` the piston's velocity; `speed`, `slips` and
+    `turned` as in `State`.
     """
 
     z: Float[Array, "segments n"]
     speed: Float[Array, "segments n"] | Float[Array, "segments n films"]
     v: Float[Array, "segments n"]
     slips: tuple[Float[Array, "segments n"], ...] = ()
+    turned: Turned | None = None
 
     def within(self, w: Windows) -> Past:
         """The same at the windows' ticks, [W, lead+T] each."""
@@ -143,7 +150,10 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
         begun = jnp.clip(e.deflection(held), -e.reach(), e.reach())
         then = run_stop(dx, e.reach(), begun)[:, quarters - 1 :: quarters]
         slips.append(jnp.concatenate([begun[:, None], then], axis=1))
-    return Past(z, speed, v, tuple(slips))
+    turned = None
+    if rig.asks_of_turns:
+        turned = run_turned(jnp.sum(dx.reshape(s, n, quarters), axis=-1), motion.h)
+    return Past(z, speed, v, tuple(slips), turned)
 
 
 STRETCH, STRETCHES = 256, 64
@@ -466,10 +476,14 @@ def forces(
     Each tick's is its own affair: `P_a1`, `P_a2` [W, lead+T] from `pressures` or the
     log, `past` at the windows.
     """
-    z, speed, v, slips = past
+    z, speed, v, slips, turned = past
+    since, way = (turned.since, turned.way) if turned else (0.0, 0.0)
     rate = rig.mechanics.z_rate(z, v)
     speed, lag = rig.films(speed)
-    at = Sliding(w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s, lag, slips=slips)
+    at = Sliding(
+        w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s, lag,
+        slips=slips, since=since, way=way,
+    )  # fmt: skip
     return rig.output_force(at)
 
 

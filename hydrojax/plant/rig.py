@@ -270,7 +270,13 @@ class Rig(eqx.Module):
                 keep, add = effect.follow(state.speed[..., 1], now, inputs.h)
                 films.append(keep * state.speed[..., 2 + i] + add)
             speed = jnp.stack([speed, *films], axis=-1)
-        return state._replace(z=z, speed=speed, slips=slips)
+        turned = state.turned and state.turned.moved(jnp.sum(dx, axis=-1), inputs.h)
+        return state._replace(z=z, speed=speed, slips=slips, turned=turned)
+
+    @property
+    def asks_of_turns(self) -> bool:
+        """Whether any effect asks when, and how far ago, the piston turned."""
+        return any(e.of_turns for e in (*self.level, *self.friction))
 
     def films(
         self, speed: Float[Array, "*batch"] | Float[Array, "*batch films"]
@@ -287,6 +293,7 @@ class Rig(eqx.Module):
         """What friction sees at the end of a tick."""
         v = stretch.velocity(self.stretch, inputs)
         speed, lag = self.films(state.speed)
+        turned = state.turned
         return Sliding(
             t=inputs.t,
             x=inputs.x[..., -1],
@@ -300,6 +307,8 @@ class Rig(eqx.Module):
             P_s=inputs.P_s[..., 1],
             lag=lag,
             slips=state.slips,
+            since=turned.since if turned else 0.0,
+            way=turned.way if turned else 0.0,
         )
 
     def read(

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from jaxtyping import Array, Float
 
 from hydrojax.plant.chambers import Lines
+from hydrojax.plant.friction import Turned
 
 
 class StepInput(NamedTuple):
@@ -47,7 +48,8 @@ class State(NamedTuple):
     <= 0, each chamber is short of being full; its pressure is then `P_VAPOUR`. `rod`
     holds the force that stretches, where one does; `motion` what the load remembers of
     where the piston stands, `line` what stands in the chambers' lines, `slips` the
-    deflections (m) of what gives friction its hysteresis.
+    deflections (m) of what gives friction its hysteresis, `turned` what an effect asks
+    of the piston's last turn.
     """
 
     command: tuple
@@ -61,3 +63,4 @@ class State(NamedTuple):
     lacking: tuple = (0.0, 0.0)
     line: Lines | None = None
     slips: tuple[Float[Array, "*batch"], ...] = ()
+    turned: Turned | None = None

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.plant.chambers import Lines, Point, refilled
-from hydrojax.plant.friction import Sliding
+from hydrojax.plant.friction import Sliding, Turned
 from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.load import AbstractLoad, Prescribed, environment_of
 from hydrojax.plant.rig import Rig
@@ -77,6 +77,7 @@ def start(
         lacking=(rest, rest),
         line=rig.line_init(*P),
         slips=slips,
+        turned=Turned(rest, rest, rest, rest) if rig.asks_of_turns else None,
     )
     paths = {"P_a1": (rig.gauge(0), P[0]), "P_a2": (rig.gauge(1), P[1])}
     paths["F"] = (rig.sensor_F, F)

@@ -76,8 +76,11 @@ def samples_of(data: Data, rig: Rig) -> dict[str, Float[np.ndarray, "rows"]]:
 
     P_1, P_2 = rows(w.P_a1), rows(w.P_a2)
     past = friction_memory(rig, data.motion)
-    z = past.within(w).z
-    out = {"v": rows(w.v), "x": rows(w.x), "a": rows(w.a), "t": rows(w.t), "z": rows(z)}
+    now = past.within(w)
+    out = {"v": rows(w.v), "x": rows(w.x), "a": rows(w.a), "t": rows(w.t)}
+    out["z"] = rows(now.z)
+    if now.turned:
+        out |= {"since": rows(now.turned.since), "way": rows(now.turned.way)}
     out |= {
         deflection_name(slip): rows(past._replace(slips=(way,)).within(w).slips[0])
         for slip, way in deflections(data.motion)

@@ -33,15 +33,22 @@ METHODS = {
     "force": ("force(self, at)", "{}"),
 }
 SIGNALS = {
-    **{name: f"at.{name}" for name in ("v", "x", "a", "t", "z")},
+    **{name: f"at.{name}" for name in ("v", "x", "a", "t", "z", "since", "way")},
     "u": "u",
     "w": "w",
     "P": "P",
     "P_mean": "(at.P_a1 + at.P_a2) / 2",
     "P_net": "at.P_a2 - at.P_a1",
 }
-FLOWING = {"v": "at.v", "u": "spool", "P_net": "at.P_a2 - at.P_a1"}
-AXES = {"w": "x", "P_mean": "P_a1 + P_a2", "P_net": "P_a1 - P_a2", "P": "P_a1 + P_a2"}
+FLOWING = {"v": "at.v", "x": "at.x", "u": "spool", "P_net": "at.P_a2 - at.P_a1"}
+AXES = {
+    "w": "x",
+    "since": "t",
+    "way": "x",
+    "P_mean": "P_a1 + P_a2",
+    "P_net": "P_a1 - P_a2",
+    "P": "P_a1 + P_a2",
+}
 """What a residual is drawn against, by signal, where it is not the signal."""
 
 NAMES = ("logaddexp(", "exp(", "sign(", "maximum(", "sin(", "cos(", "tanh(", "abs(")
@@ -157,6 +164,7 @@ def effect_source(law: FoundLaw, name: str) -> str:
             f'    name = "{name}"',
             f"    needs = {needs}",
             f'    residual_axis = "{AXES.get(term.signal, term.signal)}"',
+            *(["    of_turns = True"] if term.signal in ("since", "way") else []),
             *_declared(law),
             "",
             *_law(law),
@@ -245,7 +253,7 @@ def _law(law: FoundLaw) -> list[str]:
     if law.term.slip:
         lines += ["    def reach(self):", f"        return {law.term.slip!r}  # m", ""]
     head, out = METHODS[law.term.place]
-    factor = "at.v * " if law.term.factor == "v" else ""
+    factor = f"({SIGNALS[law.term.factor]}) * " if law.term.factor else ""
     call = f"{factor}self.along({SIGNALS[law.term.signal]})"
     return [*lines, f"    def {head}:", f"        return {out.format(call)}"]
 
@@ -260,7 +268,8 @@ def _jax(code: str) -> str:
 
 def _flow(term: Term) -> list[str]:
     out = ["    def flow(self, at):"]
-    if term.factor or term.signal == "u":
+    filling = term.factor in ("filling", "emptying")
+    if filling or term.signal == "u":
         out += [
             "        way = at.opening",
             "        spool = way[0] if len(way) == 1 else way[0] - way[1]",
@@ -268,9 +277,11 @@ def _flow(term: Term) -> list[str]:
     each = []
     for i, share in enumerate(term.share):
         factor = ""
-        if term.factor:
+        if filling:
             way = "spool" if (term.factor == "filling") == (i == 0) else "-spool"
             factor = f"jnp.maximum({way}, 0.0) * "
+        elif term.factor:
+            factor = f"({FLOWING[term.factor]}) * "
         signal = FLOWING.get(term.signal, f"at.P_a{i + 1}")
         times = {1.0: "", -1.0: "-"}.get(share, f"{share!r} * ")
         each.append(f"{times}{factor}self.along({signal})")

@@ -32,6 +32,9 @@ from hydrojax.plant.effect import (
 COUNT = 14
 """Coefficients of a curve."""
 
+SIGNALS = 9
+"""How many signals a place has at most."""
+
 
 def _coefficient() -> Any:
     return param("1", 0.0, -1e4, 1e4, "coefficient", strength=True, size=1.0)
@@ -55,8 +58,8 @@ class FreeForm(Effect):
     knots: Float[Array, "n+4"] = _array(
         np.r_[[0.0] * 3, np.linspace(0, 1, 12), [1] * 3]
     )
-    signal: Float[Array, "signals"] = _array([1.0] + [0.0] * 6)
-    factor: Float[Array, "signals+1"] = _array([1.0] + [0.0] * 7)
+    signal: Float[Array, "signals"] = _array([1.0] + [0.0] * (SIGNALS - 1))
+    factor: Float[Array, "signals+1"] = _array([1.0] + [0.0] * SIGNALS)
     size: Float[Array, ""] = _array(1.0)
     c_0: Float[Array, ""] = _coefficient()
     c_1: Float[Array, ""] = _coefficient()
@@ -87,16 +90,20 @@ class FreeForm(Effect):
 class _OnPiston(FreeForm):
     """A curve over what friction sees."""
 
+    of_turns = False
+
     def at(self, at: Any) -> Array:
         difference = at.P_a2 - at.P_a1
         mean = (at.P_a1 + at.P_a2) / 2
-        return self.along((at.v, at.x, at.a, mean, difference, at.t, at.z))
+        seen = (at.v, at.x, at.a, mean, difference, at.t, at.z)
+        return self.along((*seen, at.since, at.way) if self.of_turns else seen)
 
 
 class FreeLevel(_OnPiston, LevelEffect):
     """A curve added to the Coulomb level."""
 
     name = "free_level"
+    of_turns = True
 
     def level(self, at, base):
         """The curve as a level, N."""
@@ -245,8 +252,8 @@ class Term:
             own = {"slip": jnp.asarray(self.slip)}
         return self.form(
             knots=jnp.asarray(knots, float),
-            signal=jnp.asarray(np.eye(7)[self.which]),
-            factor=jnp.asarray(np.eye(8)[self.times]),
+            signal=jnp.asarray(np.eye(SIGNALS)[self.which]),
+            factor=jnp.asarray(np.eye(SIGNALS + 1)[self.times]),
             size=jnp.asarray(self.size, float),
             **own,
         )
@@ -260,9 +267,12 @@ PISTON = {
     "P_net": "Pa",
     "t": "s",
     "z": "m",
+    "since": "s",
+    "way": "m",
 }
 """Signals of the piston, in the order of `_OnPiston.at`, with their units: `P_mean` is
-(P_a1 + P_a2) / 2, `P_net` is P_a2 - P_a1."""
+(P_a1 + P_a2) / 2, `P_net` is P_a2 - P_a1; `since` and `way` are time and way since it
+turned."""
 
 
 def _piston(form: type[FreeForm], names: Sequence[str]) -> list[Term]:
@@ -298,11 +308,25 @@ TERMS: tuple[Term, ...] = (
         Term(FreeFlow, "P", 0, "Pa", "m^3/(s*{u})", 1e-6, factor, times)
         for factor, times in (("filling", 6), ("emptying", 7))
     ),
+    Term(FreeFlow, "x", 3, "m", "m^3/(s*Pa)", 1e-13, "P_net", 2, _ACROSS),
     Term(FreeCompliance, "P", 0, "Pa", "1/Pa", 1e-10),
-    *_piston(FreeLevel, ("v", "x", "P_mean", "P_net", "t")),
+    *_piston(FreeLevel, ("v", "x", "P_mean", "P_net", "t", "since", "way")),
     Term(FreeLevel, "P_mean", 3, "Pa", "N*s/m", 1e3, "v", 1),
+    Term(FreeLevel, "x", 1, "m", "N/Pa", 1e-5, "P_mean", 4),
     *_piston(FreeFriction, ("v", "z", "a", "P_net")),
-    Term(FreeFriction, "P_mean", 3, "Pa", "N*s/m", 1e3, "v", 1),
+    *(
+        Term(
+            FreeFriction,
+            name,
+            list(PISTON).index(name),
+            PISTON[name],
+            "N*s/m",
+            1e3,
+            "v",
+            1,
+        )
+        for name in ("P_mean", "x", "t")
+    ),
     *(Term(FreeHysteresis, "w", 0, "m", "N", 100.0, slip=slip) for slip in SLIPS),
     *_piston(FreeForce, ("x", "v", "a", "P_net", "t")),
 )

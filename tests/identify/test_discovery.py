@@ -28,6 +28,7 @@ from hydrojax.identify.inference import uncertainty
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.state import Tracing
+from hydrojax.plant.friction import run_turned
 
 WINDOWS, TICKS, COUNT, NOISE = 80, 100, 14, 0.3
 LAWS = {
@@ -256,6 +257,24 @@ def test_deflections_are_those_of_a_stop():
             np.testing.assert_allclose(own, slid(way, slip)[3::4], atol=1e-15)
 
 
+def test_turns_are_seen():
+    """At a swing's ends, but for the way by which it must have come back; and noise of
+    a coarse encoder at rest is no turn.
+    """
+    t = np.arange(4001) * 1e-3
+    x = 2e-3 * np.sin(2 * np.pi * t) + 0.2e-6 * (np.arange(4001) % 2)
+    dx = np.diff(x)[None]
+    seen = run_turned(dx, np.full(dx.shape, 1e-3))
+    at = (t > 0.3) & (np.abs(t % 0.5 - 0.25) > 0.03)
+    since = (t - 0.25) % 0.5
+    np.testing.assert_allclose(np.asarray(seen.since)[0, at], since[at], atol=0.025)
+    way = 2e-3 * (1 - np.cos(2 * np.pi * since))
+    np.testing.assert_allclose(np.asarray(seen.way)[0, at], way[at], atol=1e-4)
+    rest = 4e-6 * (np.arange(400) % 2)[None]
+    still = run_turned(np.diff(rest), np.full((1, 399), 1e-3))
+    np.testing.assert_allclose(np.asarray(still.since)[0], np.arange(400) * 1e-3)
+
+
 @pytest.mark.slow
 def test_a_hysteretic_tether_is_found_as_a_curve(recorded):
     """A hardening spring that slips, put into the logs by a loop of plain Python."""
@@ -283,3 +302,42 @@ def test_a_hysteretic_tether_is_found_as_a_curve(recorded):
     told = discovered.beside[lambda rows: rows["identified"]]
     off = [abs(told.at[n, "value"] - truth[n]) / told.at[n, "std"] for n in told.index]
     assert len(off) > 10 and np.mean(np.array(off) < 1.96) > 0.85
+
+
+@pytest.mark.slow
+def test_friction_that_settles_after_a_turn_is_found(recorded):
+    """A level that falls with the time since the piston turned, put into the logs by
+    plain NumPy where it slides.
+    """
+    folder, most, tau = recorded(1), 60.0, 0.5
+    rig = hj.RigFile.load(folder / "rig.toml")
+    z_ss = json.loads((folder / "truth.json").read_text())["rig"]["z_ss"]
+
+    def settling(name):
+        log = hj.Log.load(folder / name, rig.channels)
+        x, t = log.signals["psi"] * rig.geometry["radius"], log.time
+        sign, since, back, z, speed = 1.0, 0.0, x[0], 0.0, 0.0
+        out = np.zeros(x.size)
+        for i in range(1, x.size):
+            h, dx = t[i] - t[i - 1], x[i] - x[i - 1]
+            since += h
+            back = max(back, x[i]) if sign > 0 else min(back, x[i])
+            if sign * (back - x[i]) > 2e-5:
+                sign, since, back = -sign, 0.0, x[i]
+            end = z_ss * np.sign(dx)
+            z = end + (z - end) * np.exp(-abs(dx) / z_ss)
+            speed += (abs(dx) / h - speed) * -np.expm1(-10.0 * h)
+            slides = 1 - 1 / (1 + (300.0 * speed) ** 3)
+            out[i] = slides * z / z_ss * most * np.exp(-since / tau)
+        force = log.signals["F"] - out
+        return replace(log, signals=log.signals | {"F": force})
+
+    logs = [settling(f"fit_{i}.csv") for i in (1, 2)]
+    result = hj.fit(rig, logs, validate=[settling("validate.csv")])
+    (curve,) = hj.discover(result).curves
+    # Where speeds differ little, time and way since then say the same.
+    assert "free_level_since" in (curve.name, *curve.alike)
+    noise = result.outcome.channels["F"].noise
+    assert curve.before["F"] > 1.5 * noise and curve.after["F"] < 1.1 * noise
+    assert "exp(-abs(" in curve.law
+    assert float(curve.law.split()[0]) == pytest.approx(most, rel=0.05)

@@ -177,6 +177,37 @@ def test_a_curve_with_hysteresis_is_an_effect_that_slides(tmp_path, vocabulary):
     assert kind().reach() == 1e-3
 
 
+@pytest.mark.parametrize(
+    ("term", "at", "times"),
+    [
+        ("free_level_since", {"since": 0.3}, 1.0),
+        ("free_level_per_P_mean_x", {"x": 0.3, "P_a1": 2e6, "P_a2": 6e6}, 4e6),
+        ("free_friction_per_v_t", {"t": 0.3, "v": -0.02}, -0.02),
+    ],
+)
+def test_a_curve_times_another_signal_and_one_with_a_memory_are_effects(
+    term, at, times, tmp_path, vocabulary
+):
+    span = np.linspace(-1.0, 1.0, 301)
+    made = replace(law("free_level_v"), term=TERM[term], knots=knots_over(span, 14))
+    effect = written(tmp_path, found(made, "none"))(amount=2.0)
+    got = (effect.level(sliding(**at), 900.0) if term.startswith("free_level")
+           else effect.force(sliding(**at)))  # fmt: skip
+    want = BSpline(made.knots, made.coefficients, 3)(0.3)
+    np.testing.assert_allclose(got, 2 * times * want, rtol=1e-5)
+    assert effect.of_turns == (term == "free_level_since")
+
+
+def test_a_leak_along_the_stroke_is_an_effect(tmp_path, vocabulary):
+    span = np.linspace(-1.0, 1.0, 301)
+    term = TERM["free_flow_across_per_P_net_x"]
+    made = replace(law("free_level_v"), term=term, knots=knots_over(span, 14))
+    kind = written(tmp_path, found(made, "none"))
+    at = Point(3e6, 5e6, 14e6, 2.5e5, (0.5,), 0.3, 0.0)
+    want = 2e6 * BSpline(made.knots, made.coefficients, 3)(0.3)
+    np.testing.assert_allclose(kind(amount=1.0).flow(at), (want, -want), rtol=1e-5)
+
+
 @pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)
 def test_every_form_can_be_written(form, tmp_path, vocabulary):
     """And is what it is fitted as, but for its rounded corners."""

@@ -11,6 +11,7 @@ from scipy.optimize import root_scalar
 from hydrojax.effects import EFFECTS
 from hydrojax.parameters import get, parameter_specs, put
 from hydrojax.plant import stretch
+from hydrojax.plant.effect import LevelEffect
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.replay import (
     STRETCH,
@@ -98,6 +99,7 @@ def by_steps(rig, log):
         lacking=(0 * P_0[:, 0], 0 * P_0[:, 1]),
         line=line_start(rig, w, opened_in(rig, openings(rig, motion), w)),
         slips=tuple(slip[w.seg, w.first] for slip in past.slips),
+        turned=jax.tree.map(lambda a: a[w.seg, w.first], past.turned),
     )
     index = w.seg[:, None], w.first[:, None] + jnp.arange(1, ticks)
     w = before_filters(rig, w)
@@ -120,10 +122,22 @@ def by_steps(rig, log):
     return jnp.moveaxis(out, 0, 1)
 
 
+class Settling(LevelEffect):
+    """A level that falls while the piston goes one way."""
+
+    name = "settling"
+    residual_axis = "t"
+    of_turns = True
+
+    def level(self, at, base):
+        return 80.0 * jnp.exp(-at.since / 0.05) + 2e4 * at.way
+
+
 @pytest.mark.parametrize(
     ("dress", "substeps"),
     [
         pytest.param(lambda rig: rig, 1, id="bare"),
+        pytest.param(lambda rig: add(rig, [Settling()]), 1, id="turns"),
         pytest.param(everything, 2, id="full", marks=pytest.mark.slow),
     ],
 )
