@@ -21,17 +21,12 @@ from jaxtyping import Array, Float, Int
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Lines, Point, refilled
 from hydrojax.plant.effect import CommandDelay, SpoolLimit
-from hydrojax.plant.friction import (
-    Sliding,
-    Turned,
-    run_linear,
-    run_stop,
-    run_turned,
-)
+from hydrojax.plant.friction import Sliding, run_linear, run_stop
 from hydrojax.plant.hydraulics import follow_drops, pressure_step, settled_drops
 from hydrojax.plant.rig import PARTS, Rig, mean_opening
 from hydrojax.plant.scan import scan_in_blocks
 from hydrojax.plant.state import StepInput
+from hydrojax.plant.turned import Turned, run_turned
 
 
 class Motion(NamedTuple):

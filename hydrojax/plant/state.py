@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from jaxtyping import Array, Float
 
 from hydrojax.plant.chambers import Lines
-from hydrojax.plant.friction import Turned
+from hydrojax.plant.turned import Turned
 
 
 class StepInput(NamedTuple):

@@ -12,12 +12,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hydrojax.plant.chambers import Lines, Point, refilled
-from hydrojax.plant.friction import Sliding, Turned
+from hydrojax.plant.friction import Sliding
 from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.load import AbstractLoad, Prescribed, environment_of
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import State, StepInput
 from hydrojax.plant.stretch import ahead
+from hydrojax.plant.turned import Turned
 
 HALVINGS = 24
 """Of the bracket that holds the force: to 1e-7 of a tick's change."""

@@ -51,10 +51,8 @@ def estimate_uncertainty(
 
     The covariance is `H^-1 (sum of s s^T) H^-1` over windows as clusters (s a window's
     score), so it holds when residuals are correlated inside a window or above the
-    noise; times W/(W - k) for the fitted parameters. Priors count in H.
-
-    `pull` is the covariance of gradients that no window's score shows, in units of the
-    scales: of what draws a fit off the truth in all windows alike.
+    noise; times W/(W - k) for the fitted parameters. Priors count in H. `pull` is the
+    covariance of gradients, in units of the scales, that draw all windows alike.
     """
     names = problem.model.names
     gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
@@ -74,11 +72,10 @@ def estimate_uncertainty(
         else:
             inside.append(name)
     columns = np.array([names.index(n) for n in inside], dtype=int)
-    scale = problem.model.scale[columns]
-    if pull is not None:
-        at = [list(free).index(n) for n in inside]
-        pull = pull[np.ix_(at, at)]
+    at = [list(free).index(n) for n in inside]
+    pull = np.zeros((len(at), len(at))) if pull is None else pull[np.ix_(at, at)]
     covariance, H = _covariance(problem, gram, inside, columns, pull)
+    scale = problem.model.scale[columns]
     std: dict[str, float | None] = {name: None for name in free}
     unidentifiable: list[str] = []
     for i, name in enumerate(inside):
@@ -122,7 +119,7 @@ def is_whole(own: Free, spec: Spec) -> bool:
 
 
 def _covariance(
-    problem, gram, inside, columns, pull=None
+    problem, gram, inside, columns, pull: np.ndarray | float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Covariance and curvature, [k, k], in units of the scales."""
     r = gram.shape[1] - 1
@@ -148,8 +145,7 @@ def _covariance(
     # A direction that no residual sees has no scores either.
     unseen = vectors[:, ~seen]
     nothing = unseen @ unseen.T * problem.criteria.unseen_std**2
-    spread = few * s.T @ s + (0.0 if pull is None else pull)
-    return strong @ spread @ strong + nothing, H
+    return strong @ (few * s.T @ s + pull) @ strong + nothing, H
 
 
 def _at_end(name: str, end: str, own: Free, spec: Spec) -> str:

@@ -28,7 +28,7 @@ from hydrojax.identify.inference import uncertainty
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.state import Tracing
-from hydrojax.plant.friction import run_turned
+from hydrojax.plant.turned import run_turned
 
 WINDOWS, TICKS, COUNT, NOISE = 80, 100, 14, 0.3
 LAWS = {
