@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .catalogue import ALL, LARGEST, LATER, NAMED, OUTSIDE, SIZES, largest
+from .catalogue import ALL, LARGEST, LATER, NAMED, OUTSIDE, SIZES, UNNAMED, largest
 from .excitation import NOISE, STYLES
 from .plant import MASS, Lane
 from .record import Log, record
@@ -372,7 +372,7 @@ def write_cases(
         place = folder / spec.name
         place.mkdir(parents=True, exist_ok=True)
         (place / "rig.toml").write_text(rig_file(spec.name, truth))
-        if declare and spec.effects and not set(spec.effects) & set(OUTSIDE):
+        if declare and spec.effects and not set(spec.effects) & {*OUTSIDE, *UNNAMED}:
             text = rig_file(spec.name, truth, declare(list(spec.effects)))
             (place / "oracle.toml").write_text(text)
         for file, log in zip(LOGS, own, strict=True):

@@ -123,6 +123,16 @@ OUTSIDE: dict[str, Kind] = {
 }
 """Effects that no vocabulary here names."""
 
+UNNAMED: dict[str, Kind] = {
+    "settling_friction": _one(a=0.06, way=1.5e-3),
+    "tapered_bore": _one(b=1.2e5),
+    "swollen_land": _one(kappa=1.9e-5, width=4e-3),
+}
+"""More of these, which no mix draws from: a film that is squeezed out over the way
+after a turn, viscous friction that grows along the stroke, and a swollen land on which
+friction rises with pressure.
+"""
+
 SIZES = (0.3, 1.0, 3.0)
 
 _LARGEST: dict[str, Values] = {
@@ -155,7 +165,7 @@ _LARGEST: dict[str, Values] = {
 }
 NAMED = {n: replace(k, largest=_LARGEST.get(n, {})) for n, k in NAMED.items()}
 
-ALL = NAMED | LATER | OUTSIDE
+ALL = NAMED | LATER | OUTSIDE | UNNAMED
 
 ENDS: dict[str, dict[str, float]] = {
     "valve_deadband": {"u_dbp": 5.0},

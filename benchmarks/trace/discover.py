@@ -19,7 +19,7 @@ import numpy as np
 import typer
 
 from .cases import LOGS, CaseSpec, write_cases
-from .catalogue import OUTSIDE
+from .catalogue import OUTSIDE, UNNAMED
 from .score import append, read_results
 
 Row = dict[str, Any]
@@ -62,6 +62,16 @@ def laws(name: str, e: Mapping[str, float], rig: Mapping[str, float]) -> dict[st
         return {"free_level_x": lambda x: e["a"] * level * np.sin(angle * x)}
     if name == "friction_drift":
         return {"free_level_t": lambda t: e["a"] * level * np.expm1(-t / e["tau"])}
+    if name == "settling_friction":
+        return {"free_level_way": lambda s: e["a"] * level * np.exp(-s / e["way"])}
+    if name == "tapered_bore":
+        return {"free_friction_per_v_x": lambda x: e["b"] * x}
+    if name == "swollen_land":
+        return {
+            "free_level_per_P_mean_x": lambda x: (
+                e["kappa"] * np.exp(-((x / e["width"]) ** 2))
+            )
+        }
     if name == "side_load":
         turn = 2 * np.pi * e["hertz"]
         return {"free_level_t": lambda t: e["a"] * level * np.abs(np.sin(turn * t))}
@@ -96,7 +106,7 @@ def laws(name: str, e: Mapping[str, float], rig: Mapping[str, float]) -> dict[st
 
 def plan(outside: int, withheld: int, nothing: int) -> list[CaseSpec]:
     """So many cases of each kind."""
-    both = [(n, s) for s in SIZES[::-1] for n in OUTSIDE]
+    both = [(n, s) for s in SIZES[::-1] for n in (*UNNAMED, *OUTSIDE)]
     known = [(n, s) for s in SIZES[::-1] for n in WITHHELD]
     return [
         *(CaseSpec(f"outside-{n}-{s:g}", "outside", {n: s}) for n, s in both[:outside]),
@@ -248,7 +258,7 @@ def report(rows: Sequence[Row]) -> str:
 
 def main(
     folder: Annotated[Path, typer.Argument(help="of cases and results")],
-    outside: Annotated[int, typer.Option(help="effects outside the vocabulary")] = 22,
+    outside: Annotated[int, typer.Option(help="effects outside the vocabulary")] = 28,
     withheld: Annotated[int, typer.Option(help="effects withheld from it")] = 24,
     nothing: Annotated[int, typer.Option(help="rigs that lack nothing")] = 8,
     fitted: Annotated[

@@ -87,7 +87,7 @@ class Plant:
         # would a dry pin: the oil in its play is squeezed.
         self.damp = np.where(gap > 0, 1.4e4, 8e3)  # N s/m
         n = len(lanes)
-        self.z, self.slow, self.film, self.rest = (np.zeros(n) for _ in range(4))
+        self.z, self.slow, self.film, self.rest, self.way = np.zeros((5, n))
         self.x = self.v = self.x_p = self.v_p = np.zeros(n)
         self.P = self.rates = np.zeros((2, n))
 
@@ -165,8 +165,16 @@ class Plant:
         if e.has("pressure_friction"):
             viscous = e("pressure_friction", "kappa_v") * np.abs(v)
             level = level + (e("pressure_friction", "kappa") + viscous) * P.mean(0)
+        if e.has("settling_friction"):
+            left = np.exp(-self.way / e("settling_friction", "way"))
+            level = level * (1 + e("settling_friction", "a") * left)
+        if e.has("swollen_land"):
+            swollen = np.exp(-((x / e("swollen_land", "width")) ** 2))
+            level = level + e("swollen_land", "kappa") * swollen * P.mean(0)
         fall = np.where(v > 0, r["k_vp"], r["k_vn"])
         out = turn * level + r["k_0"] - fall * v + e("viscous_friction", "b") * v
+        if e.has("tapered_bore"):
+            out = out + e("tapered_bore", "b") * x * v
         if e.has("film_friction"):
             by_pressure = e("film_friction", "kappa_h") * P.mean(0)
             power = (np.abs(v) / 0.01) ** e("film_friction", "n")
@@ -224,9 +232,10 @@ class Plant:
         middle = self.P + h / 2 * self.rates
         self.rates = self.pressure_rates(middle, P_s, self.x_p + h / 2 * v_p, v_p, g)
         self.P = self.P + h * self.rates
-        keep = np.exp(-np.abs(h * v_p) / r["z_ss"])
-        self.z = keep * self.z + np.sign(v_p) * r["z_ss"] * (1 - keep)
-        speed = np.abs(v_p)
+        keep, speed = np.exp(-np.abs(h * v_p) / r["z_ss"]), np.abs(v_p)
+        z = keep * self.z + np.sign(v_p) * r["z_ss"] * (1 - keep)
+        self.way = np.where(z * self.z > 0, self.way + h * speed, 0.0)
+        self.z = z
         self.slow = self.slow + h * L_RATE * (speed - self.slow)
         if e.has("frictional_lag"):
             tau = np.maximum(e("frictional_lag", "tau_h"), h)
