@@ -99,8 +99,7 @@ def laws(name: str, e: Mapping[str, float], rig: Mapping[str, float]) -> dict[st
 
         return {"free_compliance_P": air}
     if name == "valve_bias":
-        # The hidden plant's command is a share of full opening at 10 V.
-        return {"free_command_u": lambda u: 0 * u + 10 * e["u_0"]}
+        return {"free_command_u": lambda u: 0 * u + e["u_0"]}
     return {}
 
 
