@@ -206,6 +206,12 @@ def intervals(outcome: Any, rig: Mapping[str, float]) -> dict[str, float]:
     }
 
 
+def _told(rows: Sequence[Row]) -> str:
+    """How many parameters lie in their intervals."""
+    z = np.array([v for r in rows for v in r["parameters"].values()])
+    return f"{np.sum(z < 1.96)} of {len(z)}"
+
+
 def report(rows: Sequence[Row]) -> str:
     """The tables, as Markdown."""
     out = []
@@ -238,7 +244,7 @@ def report(rows: Sequence[Row]) -> str:
                 f"{' + '.join(f'{s:.0f}' for s in r['seconds'])} |"
             )
         told = [c["inside"] for r in own for c in r["curves"] if "inside" in c]
-        z = np.array([v for r in own for v in r["parameters"].values()])
+        explained = [r for r in own if r["after"] <= 1.1]
         out += [
             "",
             f"Offered a curve: {sum(bool(r['curves']) for r in own)} of {len(own)}. "
@@ -250,7 +256,8 @@ def report(rows: Sequence[Row]) -> str:
                 if told
                 else ""
             )
-            + f"Parameters in their 95 % interval: {np.mean(z < 1.96):.0%}.",
+            + f"Parameters in their 95 % interval: {_told(own)}, {_told(explained)} "
+            "where the error comes so far.",
         ]
     return "\n".join(out) + "\n"
 
