@@ -44,7 +44,8 @@ BANDS = (Following, Magnitude)
 """Aims that are bands, and 0 where there is none."""
 
 NARROWER = 0.98
-"""Least share of what is aimed at before that a proposal must reach."""
+"""Least share of what is aimed at before that a proposal must reach; and of what the
+best reaches, from which gains that track better are taken in its place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,7 @@ def propose(
     the descents' best that holds. The present gains are among those searched on from:
     they may keep all limits where no end of a descent does. Gains that keep the limit
     on the peak at both amplitudes come before those whose peak is only no higher than
-    before.
+    before. Of those that reach about as much, the ones that track best are proposed.
 
     Args:
         objective: plants, trials and aim.
@@ -133,6 +134,8 @@ def propose(
     found = [j for j in found if j.tried is not before]
     good = [j for j in found if not j.faults]
     best = max(good or found, key=lambda j: j.rank)
+    if good:
+        best = min(_alike(good, best), key=lambda j: _errors(j.tried))
     after = best.tried if good else before
     return Proposal(before, after, best.faults, tuple(found))
 
@@ -157,6 +160,19 @@ def judged(
         over.append(float(beyond(np.max(getattr(tried, name)), most)))
     steep = float(tried.peak.max()) - (objective.limits.peak_dB + PEAK_SLACK)
     return Judged(tried, faults, np.array(over), steep / DECIBELS, now, towards)
+
+
+def _alike(good: list[Judged], best: Judged) -> list[Judged]:
+    """Those that reach as much as the best, and keep as many limits."""
+    least = best.aim - (1 - NARROWER) * abs(best.aim)
+    kept = best.rank[:2]
+    return [j for j in good if j.rank[:2] == kept and j.aim >= least]
+
+
+def _errors(tried: Tried) -> float:
+    """Tracking errors of the worst plants, as one: the sum of their logarithms."""
+    each = (tried.rms, tried.rms_moving, tried.small_moving)
+    return float(sum(np.log(np.max(e)) for e in each))
 
 
 def _reached(objective: Objective, tried: Tried) -> float:

@@ -307,6 +307,22 @@ def test_bad_gains_are_not_proposed(objective, proposal):
         assert what in said
 
 
+@pytest.mark.slow
+def test_of_gains_that_reach_as_much_those_that_track_best_are_proposed(proposal):
+    after = proposal.after
+    good = [j for j in proposal.tried if not j.faults and j.wanted <= 0]
+    good = good or [j for j in proposal.tried if not j.faults]
+    widest = max(j.tried.follows_to.min() for j in good)
+    assert after.follows_to.min() >= 0.98 * widest
+    for j in good:
+        if np.max(j.over) <= 0 and j.tried.follows_to.min() >= 0.98 * widest:
+            three = ("rms", "rms_moving", "small_moving")
+            ratios = [
+                getattr(j.tried, n).max() / getattr(after, n).max() for n in three
+            ]
+            assert np.prod(ratios) >= 1 - 1e-9
+
+
 def test_a_search_finds_what_holds_far_from_where_it_begins():
     """What may be proposed is a small part of the range, and no descent ended in it."""
     free = [SimpleNamespace(name=n) for n in ("k_p", "k_f", "rho_a")]
