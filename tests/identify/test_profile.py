@@ -68,6 +68,7 @@ class Mean:
     """Stands in for a `Problem`: the mean of readings whose noise is known."""
 
     criteria = Criteria()
+    known = None
 
     class model:
         names = ("a",)
