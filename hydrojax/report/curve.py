@@ -28,7 +28,9 @@ class CurveRecord(Part):
         max_length=COUNT, description="its standard deviation, over the whole curve"
     )
     extrapolated: list[bool] = Field(
-        [], max_length=COUNT, description="whether no fitted log reaches there"
+        [],
+        max_length=COUNT,
+        description="whether no fitted log has samples about there",
     )
     seen: tuple[float, float] = Field(description="range on which it rests")
     rug: list[float] = Field(

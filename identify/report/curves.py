@@ -23,7 +23,7 @@ WIDE = 1.96
 
 @styled
 def curve_figure(outcome: Outcome) -> Figure | None:
-    """Each curve over its signal: band, formula, samples, and what is extrapolated."""
+    """Each curve over its signal: band, formula, samples, and where there are none."""
     curves = outcome.curves
     if not curves:
         return None
@@ -40,8 +40,8 @@ def curve_figure(outcome: Outcome) -> Figure | None:
     if any(c.law_y is not None for c in curves):
         label = "formula"
         handles.append(Line2D([], [], color=ABOVE, lw=1.2, ls=DASHES, label=label))
-    if any(c.s[0] < c.seen[0] or c.s[-1] > c.seen[1] for c in curves):
-        handles.append(Patch(fc="#E4E4E4", label="extrapolated"))
+    if any(c.unseen for c in curves):
+        handles.append(Patch(fc="#E4E4E4", label="no samples"))
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
 
@@ -55,9 +55,8 @@ def _curve(ax: Axes, c: FoundCurve) -> None:
     ax.plot(s, y, color=AFTER, lw=1.8)
     if c.law_y is not None:
         ax.plot(s, c.law_y / up, color=ABOVE, lw=1.2, ls=DASHES)
-    for low, high in ((c.s[0], c.seen[0]), (c.seen[1], c.s[-1])):
-        if low < high:
-            ax.axvspan(low / across, high / across, color="#E4E4E4", lw=0, zorder=0)
+    for low, high in c.unseen:
+        ax.axvspan(low / across, high / across, color="#E4E4E4", lw=0, zorder=0)
     ax.plot(c.rug / across, np.full(len(c.rug), 0.02), "|", color="black", ms=5,
             mew=0.4, alpha=0.5, transform=ax.get_xaxis_transform())  # fmt: skip
     by = f" × {symbol(c.factor)}" if c.factor else ""
@@ -77,5 +76,5 @@ def curves_said(outcome: Outcome) -> tuple[str, str]:
         f"Curves beside the known effects: {', '.join(rows)}.",
         "What the known effects leave, as a curve over one signal at one place of the "
         "rig, less what the rig's own fitted parameters can follow. Ticks below: the "
-        "samples on which it rests; grey: the other logs go there, it is extrapolated.",
+        "samples on which it rests; grey: it has none there, and is a guess.",
     )

@@ -7,6 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+GAP = 0.08
+"""Share of a curve's range without a sample from which it is a guess there: the knots
+of samples that lie evenly are as far apart."""
+
 
 @dataclass(frozen=True)
 class FoundCurve:
@@ -20,7 +24,7 @@ class FoundCurve:
         s: of the signal, over the logs that are fitted and those that are not.
         y: the curve there, less what the rig's own parameters can follow.
         std: its standard deviation; the 95 % band is 1.96 times it, on either side.
-        seen: range of the signal on which it rests; beyond it is extrapolated.
+        seen: range of the signal on which it rests.
         rug: samples of the signal that it rests on.
         p_value: family-wise, over all places and signals.
         before: error by channel on the validation logs, RMS; `after` that with it.
@@ -54,3 +58,20 @@ class FoundCurve:
     law: str = ""
     law_y: Float[np.ndarray, "points"] | None = None
     source: str = ""
+
+    @property
+    def unseen(self) -> tuple[tuple[float, float], ...]:
+        """Stretches of the signal in which no fitted log has samples: beyond `seen`,
+        and gaps of `GAP` in it.
+        """
+        low, high = self.seen
+        rug = np.sort(np.concatenate([self.seen, self.rug]))
+        wide = np.diff(rug) > GAP * (high - low)
+        inside = zip(rug[:-1][wide], rug[1:][wide], strict=True)
+        every = ((self.s[0], low), *inside, (high, self.s[-1]))
+        return tuple((float(a), float(b)) for a, b in every if a < b)
+
+    @property
+    def extrapolated(self) -> tuple[bool, ...]:
+        """Of each of `s`, whether it is in one of these."""
+        return tuple(any(a <= s <= b for a, b in self.unseen) for s in self.s)

@@ -104,7 +104,7 @@ def _drawn(e: FoundEffect, curves: Sequence[FoundCurve]) -> dict[str, Any]:
 def _curve(c: FoundCurve) -> dict[str, Any]:
     own = asdict(c)
     del own["source"]
-    own["extrapolated"] = [s < c.seen[0] or s > c.seen[1] for s in c.s.tolist()]
+    own["extrapolated"] = list(c.extrapolated)
     return own
 
 
