@@ -128,11 +128,12 @@ def test_a_report_holds_its_curves(tmp_path):
 
 
 def test_a_curve_is_a_guess_where_no_sample_lies():
-    """Beyond the samples, and between four pressures at which a bench was run."""
+    """Beyond the samples, and between three pressures at which a bench was run."""
     rug = np.concatenate([p + np.linspace(-2e3, 2e3, 100) for p in (5e4, 1.5e5, 3.5e5)])
     one = replace(
         found(law("free_level_x")),
-        s=np.linspace(3e4, 3.6e5, 34), seen=(rug[0], rug[-1]), rug=rug,
+        s=np.linspace(3e4, 3.6e5, 34), y=np.ones(34), std=np.ones(34), law_y=None,
+        seen=(rug[0], rug[-1]), rug=rug,
     )  # fmt: skip
     ends = (3e4, 4.8e4), (5.2e4, 1.48e5), (1.52e5, 3.48e5), (3.52e5, 3.6e5)
     np.testing.assert_allclose(one.unseen, ends)
@@ -142,7 +143,13 @@ def test_a_curve_is_a_guess_where_no_sample_lies():
     assert report_json(outcome(one))["curves"][0]["extrapolated"] == (~near).tolist()
     labels = [t.get_text() for t in plot(outcome(one), "curve").legends[0].get_texts()]
     assert "no samples" in labels
-    even = replace(one, s=np.array(rug[[0, -1]]), rug=np.linspace(*one.seen, 50))
+    even = replace(
+        one,
+        s=np.array(rug[[0, -1]]),
+        y=np.ones(2),
+        std=np.ones(2),
+        rug=np.linspace(*one.seen, 50),
+    )
     assert even.unseen == () and not any(even.extrapolated)
 
 

@@ -292,9 +292,10 @@ def test_the_proposal_holds_in_a_second_simulator(objective, proposal):
     promised = np.asarray(proposal.after.follows_to)
     assert band[0] >= 0.85 * promised[0]
     # On the other plants a single line may leave the tolerance far below the band that
-    # is promised (docs/limits.md): most stay inside.
-    for own, most in zip(inside, promised, strict=True):
-        assert np.mean(own[lines <= most]) > 0.5
+    # is promised, since the lines wiggle (docs/limits.md): together they do not.
+    for own, most in zip(np.abs(1 - H), promised, strict=True):
+        off = np.sqrt(np.mean(own[lines <= most] ** 2))
+        assert off <= 1.15 * TOLERANCE
 
 
 @pytest.mark.slow
