@@ -66,7 +66,9 @@ def begun(
 def samples_of(data: Data, rig: Rig) -> dict[str, Float[np.ndarray, "rows"]]:
     """What prepared logs hold of every signal that a curve may be over, SI.
 
-    Pressures are the measured ones; the bristle's deflection is the rig's.
+    Pressures are the measured ones; the bristle's deflection is the rig's. Where the
+    output force is not measured but declared, the drive force stands for it: a curve
+    over that would explain the residual by itself, and it is none of the signals.
     """
     w = data.windows
     lead = w.x.shape[1] - w.measured.shape[1]
@@ -85,7 +87,10 @@ def samples_of(data: Data, rig: Rig) -> dict[str, Float[np.ndarray, "rows"]]:
         deflection_name(slip): rows(past._replace(slips=(way,)).within(w).slips[0])
         for slip, way in deflections(data.motion)
     }
-    out |= {"P_mean": (P_1 + P_2) / 2, "P_net": P_2 - P_1}
+    if data.driven_by == "u" or np.ptp(rows(w.F)) > 0:
+        out |= {"P_mean": (P_1 + P_2) / 2, "P_net": P_2 - P_1}
+    elif data.driven_by == "pressures":
+        out["P_mean"] = (P_1 + P_2) / 2
     if data.driven_by == "u":
         out |= {"u": rows(w.u), "P_a1": P_1, "P_a2": P_2, "P": np.r_[P_1, P_2]}
     return out

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.effects.splines import knots_over
-from hydrojax.identify.discovery.free_form import COUNT, TERMS, FreeForm, Term
+from hydrojax.identify.discovery.free_form import COUNT, PISTON, TERMS, FreeForm, Term
 from hydrojax.identify.estimation.problem import Problem
 
 Samples = Mapping[str, Float[np.ndarray, "rows"]]
@@ -26,9 +26,13 @@ class Laid:
 
 
 def laid_over(samples: Samples) -> list[Laid]:
-    """Every term whose signal the logs move, over their range."""
+    """Every term whose signal the logs move, and whose factor they have, over their
+    range.
+    """
     out = []
     for term in TERMS:
+        if term.factor in PISTON and term.factor not in samples:
+            continue
         rows = samples.get(term.sampled)
         if rows is not None and np.ptp(np.quantile(rows, [0.01, 0.99])) > 0:
             out.append(Laid(term, term.laid(knots_over(rows, COUNT))))
