@@ -66,6 +66,13 @@ def first(
     return jnp.where(jnp.any(out), found, hertz[-1])
 
 
+def band(
+    hertz: Float[Array, "lines"], inside: Float[Array, "lines"]
+) -> Float[Array, ""]:
+    """`first`, but 0 where `inside` is below 0 at the first frequency already, Hz."""
+    return jnp.where(inside[0] < 0, 0.0, first(hertz, inside))
+
+
 def band_within(
     hertz: Float[Array, "lines"], H: Complex[Array, "lines"], most: float = 1.0
 ) -> Float[Array, ""]:
@@ -73,8 +80,7 @@ def band_within(
 
     0 where it is not even at the first.
     """
-    inside = most - jnp.abs(dB(H))
-    return jnp.where(inside[0] < 0, 0.0, first(hertz, inside))
+    return band(hertz, most - jnp.abs(dB(H)))
 
 
 def unwrapped(H: Complex[Array, "lines"]) -> Float[Array, "lines"]:

@@ -141,37 +141,34 @@ def search(
     progress("search in runs")
     for down, up in SPREADS:
         tries.spread(down, up)
-    regions: list[_Region] = []
+    regions: list[list[int]] = []
     while len(regions) < REGIONS[0 if tries.holds else 1]:
-        ended = [tries.logs[r.best] for r in regions]
-        best = tries.best_apart(ended)
-        if best is None:
+        begins = tries.best_apart([tries.best(region) for region in regions])
+        if begins is None:
             break
         progress(f"search in runs, region {len(regions) + 1}")
-        regions.append(tries.rounds(_Region(best, BEGIN, (best,)), FEW))
-    regions.sort(key=lambda r: tries.found[r.best].promise, reverse=True)
+        regions.append(tries.rounds([begins], FEW))
+    regions.sort(key=lambda r: tries.found[tries.best(r)].promise, reverse=True)
     for i, region in enumerate(regions[:LAST]):
         progress(f"search in runs, on in region {i + 1}")
-        tries.rounds(region._replace(radius=BEGIN), MANY)
+        tries.rounds(region, MANY)
         if tries.holds:
             break
     return tries.found
 
 
-class _Region(NamedTuple):
-    """Where the search stands in a region: its best and all tried in it, by their
-    places in what was tried, and how far its next round goes.
+class _Tries:
+    """What was tried: as it was judged, and the logarithms of its groups of gains. A
+    region is those that were tried in it, by their places.
     """
 
-    best: int
-    radius: float
-    tried: tuple[int, ...]
-
-
-class _Tries:
-    """What was tried: as it was judged, and the logarithms of its groups of gains."""
-
-    def __init__(self, objective, begin, judge, rng):
+    def __init__(
+        self,
+        objective: Objective,
+        begin: list[Judged],
+        judge: Callable[[list[Float[np.ndarray, "gains"]]], list[Judged]],
+        rng: np.random.Generator,
+    ):
         self.objective, self.judge, self.rng = objective, judge, rng
         self.low, self.high = reach(objective)
         self.here = origin(objective)
@@ -197,18 +194,22 @@ class _Tries:
         most = np.minimum(self.high, np.log(up))
         self.add(list(least + even * (most - least)))
 
-    def best_apart(self, ended: list[Float[np.ndarray, "groups"]]) -> int | None:
-        """The best that lies apart from all where a search ended, if any does."""
+    def best(self, region: list[int]) -> int:
+        """The place of its best."""
+        return max(region, key=lambda i: self.found[i].promise)
+
+    def best_apart(self, ended: list[int]) -> int | None:
+        """The place of the best that lies apart from all of these, if any does."""
         apart = [
             i
             for i, y in enumerate(self.logs)
-            if all(np.max(np.abs(y - e)) > APART for e in ended)
+            if all(np.max(np.abs(y - self.logs[e])) > APART for e in ended)
         ]
-        return max(apart, key=lambda i: self.found[i].promise, default=None)
+        return self.best(apart) if apart else None
 
-    def rounds(self, region: _Region, most: int) -> _Region:
-        """At most so many rounds in a region."""
-        best, radius, tried = region
+    def rounds(self, region: list[int], most: int) -> list[int]:
+        """The region after at most so many rounds more."""
+        best, radius = self.best(region), BEGIN
         for _ in range(most):
             if radius < END:
                 break
@@ -223,11 +224,12 @@ class _Tries:
             ]
             rest = AROUND - len(drawn)
             drawn += list(y + radius * self.rng.uniform(-1, 1, (rest, y.size)))
-            tried = (*tried, *range(len(self.found), len(self.found) + AROUND))
+            count = len(self.found)
             self.add(drawn)
-            now = max(tried, key=lambda i: self.found[i].promise)
+            region = [*region, *range(count, len(self.found))]
+            now = self.best(region)
             best, radius = now, radius * (FARTHER if now != best else CLOSER)
-        return _Region(best, radius, tried)
+        return region
 
 
 BOTH = (slice(None), slice(None, -1))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from hydrojax.jax_setup import cores
 from hydrojax.programs.compiled import program
@@ -177,20 +177,23 @@ def run_trials(
         return list(pool.map(one, range(len(proposals))))
 
 
-def _bands(hertz, H, tolerance):
+def _bands(
+    hertz: Float[Array, "lines"], H: Complex[Array, "lines"], tolerance: float
+) -> tuple[Float[Array, ""], ...]:
     """`within_1dB`, `lag_90` and `follows_to` of a response, then both of `about`."""
     off, dB = jnp.abs(1 - H), jnp.abs(metrics.dB(H))
 
-    def within(most, size):
-        inside = most - size
-        return jnp.where(inside[0] < 0, 0.0, metrics.first(hertz, inside))
+    def averaged(most, size):
+        inside = most * jnp.array(ABOUT)[:, None] - size
+        return jnp.mean(jax.vmap(metrics.band, (None, 0))(hertz, inside))
 
-    lag = metrics.first(hertz, metrics.unwrapped(H) + jnp.pi / 2)
-    about = [
-        jnp.mean(jax.vmap(within, (0, None))(most * jnp.array(ABOUT), size))
-        for most, size in ((1.0, dB), (tolerance, off))
-    ]
-    return within(1.0, dB), lag, within(tolerance, off), *about
+    return (
+        metrics.band(hertz, 1.0 - dB),
+        metrics.first(hertz, metrics.unwrapped(H) + jnp.pi / 2),
+        metrics.band(hertz, tolerance - off),
+        averaged(1.0, dB),
+        averaged(tolerance, off),
+    )
 
 
 bands = program(jax.vmap(_bands, in_axes=(None, 0, None)))

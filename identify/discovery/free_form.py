@@ -275,9 +275,18 @@ PISTON = {
 turned."""
 
 
-def _piston(form: type[FreeForm], names: Sequence[str]) -> list[Term]:
+def _piston(
+    form: type[FreeForm],
+    names: Sequence[str],
+    of: str = "N",
+    size: float = 100.0,
+    factor: str = "",
+) -> list[Term]:
     order = list(PISTON)
-    return [Term(form, n, order.index(n), PISTON[n], "N", 100.0) for n in names]
+    times = order.index(factor) + 1 if factor else 0
+    return [
+        Term(form, n, order.index(n), PISTON[n], of, size, factor, times) for n in names
+    ]
 
 
 SLIPS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
@@ -311,22 +320,10 @@ TERMS: tuple[Term, ...] = (
     Term(FreeFlow, "x", 3, "m", "m^3/(s*Pa)", 1e-13, "P_net", 2, _ACROSS),
     Term(FreeCompliance, "P", 0, "Pa", "1/Pa", 1e-10),
     *_piston(FreeLevel, ("v", "x", "P_mean", "P_net", "t", "since", "way")),
-    Term(FreeLevel, "P_mean", 3, "Pa", "N*s/m", 1e3, "v", 1),
-    Term(FreeLevel, "x", 1, "m", "N/Pa", 1e-5, "P_mean", 4),
+    *_piston(FreeLevel, ("P_mean",), "N*s/m", 1e3, "v"),
+    *_piston(FreeLevel, ("x",), "N/Pa", 1e-5, "P_mean"),
     *_piston(FreeFriction, ("v", "z", "a", "P_net")),
-    *(
-        Term(
-            FreeFriction,
-            name,
-            list(PISTON).index(name),
-            PISTON[name],
-            "N*s/m",
-            1e3,
-            "v",
-            1,
-        )
-        for name in ("P_mean", "x", "t")
-    ),
+    *_piston(FreeFriction, ("P_mean", "x", "t"), "N*s/m", 1e3, "v"),
     *(Term(FreeHysteresis, "w", 0, "m", "N", 100.0, slip=slip) for slip in SLIPS),
     *_piston(FreeForce, ("x", "v", "a", "P_net", "t")),
 )

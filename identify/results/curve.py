@@ -74,4 +74,5 @@ class FoundCurve:
     @property
     def extrapolated(self) -> tuple[bool, ...]:
         """Of each of `s`, whether it is in one of these."""
-        return tuple(any(a <= s <= b for a, b in self.unseen) for s in self.s)
+        unseen = self.unseen
+        return tuple(any(a <= s <= b for a, b in unseen) for s in self.s)

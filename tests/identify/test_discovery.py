@@ -4,14 +4,18 @@ import json
 from dataclasses import replace
 from unittest.mock import Mock
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
 import hydrojax as hj
 from hydrojax.effects.splines import knots_over
+from hydrojax.identify.case import open_case
 from hydrojax.identify.discovery.discover import deflections
 from hydrojax.identify.discovery.formula import FORMS, formula_of
+from hydrojax.identify.discovery.free_form import FORMS as FREE_FORMS
 from hydrojax.identify.discovery.search import above_noise
 from hydrojax.identify.discovery.smooth import (
     Columns,
@@ -24,11 +28,12 @@ from hydrojax.identify.discovery.smooth import (
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.known import Free, Known
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.inference import uncertainty
+from hydrojax.identify.inference import tolerance, uncertainty
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.plant.turned import run_turned
+from hydrojax.rigfile.build import build_rig
 
 WINDOWS, TICKS, COUNT, NOISE = 80, 100, 14, 0.3
 LAWS = {
@@ -273,6 +278,23 @@ def test_turns_are_seen():
     rest = 4e-6 * (np.arange(400) % 2)[None]
     still = run_turned(np.diff(rest), np.full((1, 399), 1e-3))
     np.testing.assert_allclose(np.asarray(still.since)[0], np.arange(400) * 1e-3)
+
+
+def test_a_tolerance_moves_a_rig_with_its_curves(recorded):
+    """The area alone: every curve lies over the knots that it had."""
+    folder = recorded(1)
+    case = open_case(folder / "rig.toml", [folder / "fit_1.csv"])
+    knots = knots_over(np.linspace(-0.05, 0.05, 301), COUNT)
+    forms = [form(knots=jnp.asarray(knots)) for form in FREE_FORMS]
+    problem = Problem.of(build_rig(case.spec, (), forms), {}, case.fit, case.criteria)
+    moved = tolerance._with(case, problem, "area", 1e-5)
+    assert moved.model.names == problem.model.names
+    leaves = zip(jax.tree.leaves(problem.model.rig), jax.tree.leaves(moved.model.rig),
+                 strict=True)  # fmt: skip
+    differ = [(a, b) for a, b in leaves if not np.array_equal(a, b)]
+    assert differ
+    for a, b in differ:
+        np.testing.assert_allclose(b - a, 1e-5, rtol=1e-9)
 
 
 @pytest.mark.slow
