@@ -59,6 +59,11 @@ def _curve(ax: Axes, c: FoundCurve) -> None:
         ax.axvspan(low / across, high / across, color="#E4E4E4", lw=0, zorder=0)
     ax.plot(c.rug / across, np.full(len(c.rug), 0.02), "|", color="black", ms=5,
             mew=0.4, alpha=0.5, transform=ax.get_xaxis_transform())  # fmt: skip
+    seen = ~np.array(c.extrapolated)
+    if np.any(seen):  # a guess may be far larger than what the logs show
+        low, high = np.min((y - wide)[seen]), np.max((y + wide)[seen])
+        room = 0.15 * (high - low) + 1e-300
+        ax.set_ylim(low - room, high + room)
     by = f" × {symbol(c.factor)}" if c.factor else ""
     ax.set_ylabel(f"{words(c.place)}{by}\n[{y_unit or 1}]")
     ax.set_xlabel(f"{symbol(c.signal)}  [{s_unit or 1}]")
