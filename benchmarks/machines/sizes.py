@@ -296,7 +296,8 @@ def _over_centre(rng, truth, values, speed, heaviest) -> dict[str, float]:
         "tau_pilot": _between(rng, 0.02, 0.2),
     }
     truth["counterbalance"] = {
-        "k_" + side: 1 / c_out**2,
+        # What it loses 100 bar beyond its setting.
+        "k_" + side: (own["dP_full"] / (100 * BAR) / c_out) ** 2,
         "P_set": own["P_set"],
         "ratio": own["ratio"],
         "dP_full": own["dP_full"],

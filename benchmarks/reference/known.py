@@ -80,7 +80,7 @@ KNOWN: dict[str, Known] = {
         "It pulls both chambers to the middle between supply and return, and vanishes at large commands; leakage does neither.",
     ),
     "counterbalance": Known(
-        {"k_1": 4e14, "k_2": 4e14, "P_set": 15e6},
+        {"k_1": 9e14, "k_2": 9e14, "P_set": 15e6},
         "set to 1.3 times the largest load pressure, pilot ratio 3 to 10",
         "Outflow is throttled, inflow is free: compare lowering with raising at one speed. It depends on the other line's pressure.",
     ),

@@ -18,8 +18,12 @@ P_0 = 101_325.0
 """Atmospheric pressure (Pa): the reference of entrained air."""
 
 
+OPENED = 1e7
+"""Pressure (Pa) beyond its setting at which a counterbalance valve's losses are given.
+Given where it is wholly open they would be known only from logs that open it so."""
+
 SHUT = 1e-3
-"""Share by which a counterbalance valve that is shut still passes: what leaks."""
+"""How far, over that, a counterbalance valve that is shut still opens: what leaks."""
 
 
 def _lost_in_line(
@@ -105,38 +109,39 @@ class Counterbalance(LineEffect):
     """Over-centre valve in the line of each chamber: throttles what leaves it.
 
     It opens with the chamber's pressure and, `ratio` times, with the other chamber's,
-    which comes with the lag `tau` of a damped pilot line: to the share
-    `s = (P_i + ratio P_j - P_set) / dP_full`. Outflow Q loses `k_i Q^2 / s^2` in it,
-    none at `k_i = 0` (no valve in the line of chamber i), and inflow loses
-    `check_loss k_i Q sqrt(Q^2 + check_flow^2)` in its check valve, whose poppet has not
-    opened fully at a small flow. `V_line` of what a chamber holds lies between valve
-    and edge, at a pressure of its own.
+    which comes with the lag `tau` of a damped pilot line: by
+    `p = P_i + ratio P_j - P_set`, or by `dP_full` where that is less. Outflow Q loses
+    `k_i Q^2 (10 MPa / p)^2` in it, none at `k_i = 0` (no valve in the line of chamber
+    i), and inflow loses `check_loss k_i Q sqrt(Q^2 + check_flow^2)` in its check
+    valve, whose poppet has not opened fully at a small flow. `V_line` of what a chamber
+    holds lies between valve and edge, at a pressure of its own.
     """
 
     name = "counterbalance"
     needs = ("u", "differential")
     residual_axis = "P_a1 + P_a2"
     k_1: Float[Array, ""] = param(
-        "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss when open, chamber 1", strength=True,
-        size=2e13, grid=(3e11, 3e12, 3e15, 3e12, 0.0),
+        "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss 10 MPa beyond its setting, chamber 1",
+        strength=True, size=4.5e13, grid=(7e11, 7e12, 7e15, 7e12, 0.0),
     )  # fmt: skip
     k_2: Float[Array, ""] = param(
-        "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss when open, chamber 2", strength=True,
-        size=2e13, grid=(3e11, 3e12, 3e15, 0.0, 3e12),
+        "Pa*s^2/m^6", 0.0, 0.0, 1e19, "loss 10 MPa beyond its setting, chamber 2",
+        strength=True, size=4.5e13, grid=(7e11, 7e12, 7e15, 0.0, 7e12),
     )  # fmt: skip
     P_set: Float[Array, ""] = param(
         "Pa", 1.5e7, 2e6, 4e7, "setting", grid=(8e6, 1.5e7, 2.5e7)
     )
     ratio: Float[Array, ""] = param("1", 3.0, 0.5, 12.0, "pilot ratio", prior=2.0)
+    # Far off: a valve that logs do not show wholly open may open further in others.
     dP_full: Float[Array, ""] = param(
-        "Pa", 1.5e7, 5e5, 6e7, "pressure from shut to open", prior=1e7
+        "Pa", 4e7, 5e5, 6e7, "pressure from shut to open", prior=2e7
     )
     tau: Float[Array, ""] = param("s", 0.05, 1e-3, 0.5, "lag of the pilot", prior=0.1)
     V_line: Float[Array, ""] = param(
         "m^3", 5e-4, 1e-5, 2e-2, "volume of a line between valve and edges", prior=5e-4
     )
     check_loss: Float[Array, ""] = param(
-        "1", 0.0, 0.0, 10.0, "loss of what enters, over that when open", prior=1.0
+        "1", 0.0, 0.0, 10.0, "loss of what enters, over k", prior=1.0
     )
     check_flow: Float[Array, ""] = param(
         "m^3/s", 3e-4, 0.0, 1e-1, "flow that enters below which its loss is laminar",
@@ -144,8 +149,8 @@ class Counterbalance(LineEffect):
     )  # fmt: skip
 
     def _opens(self, own, pilot):
-        share = (own + self.ratio * pilot - self.P_set) / self.dP_full
-        return jnp.clip(share, SHUT, 1.0)
+        beyond = (own + self.ratio * pilot - self.P_set) / OPENED
+        return jnp.clip(beyond, SHUT, self.dP_full / OPENED)
 
     def init(self, P_1, P_2):
         return (P_2, P_1), (self._opens(P_1, P_2), self._opens(P_2, P_1))
