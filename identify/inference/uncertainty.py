@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -60,10 +60,11 @@ def estimate_uncertainty(
     ends: dict[str, str] = {}
     shown = np.sqrt(np.sum(gram, axis=0).diagonal()[[names.index(n) for n in free]])
     shown = shown >= problem.criteria.hardly_shown * np.max(shown, initial=0.0)
-    for name, seen in zip(free, shown, strict=True):
+    unseen = {n for n, seen in zip(free, shown, strict=True) if not seen}
+    for name in free:
         value, f = point.values[names.index(name)], problem.free[name]
         slack = 1e-9 * max(abs(f.lower), abs(f.upper))
-        if not seen:  # where nothing holds it says nothing, an end or not
+        if name in unseen:  # where nothing holds it says nothing, an end or not
             inside.append(name)
         elif value <= f.lower + slack:
             ends[name] = "lower"
@@ -82,7 +83,8 @@ def estimate_uncertainty(
         s = float(np.sqrt(max(covariance[i, i], 0.0))) * scale[i]
         std[name] = s
         size = max(abs(point.values[columns[i]]), 0.1 * scale[i])
-        if not np.isfinite(s) or s > problem.criteria.unidentifiable * size:
+        wide = not s <= problem.criteria.unidentifiable * size
+        if wide or name in unseen:
             unidentifiable.append(name)
         if s > 0.01 * problem.criteria.unseen_std * scale[i]:
             std[name] = None
@@ -92,7 +94,7 @@ def estimate_uncertainty(
         for name, end in ends.items()
     ]
     if unidentifiable:
-        limits += _in_words(unidentifiable, inside, H, problem.criteria)
+        limits += _in_words(unidentifiable, unseen, inside, H, problem.criteria)
     return Uncertainty(
         std,
         frozenset(ends),
@@ -121,15 +123,21 @@ def is_whole(own: Free, spec: Spec) -> bool:
 def _covariance(
     problem, gram, inside, columns, pull: np.ndarray | float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance and curvature, [k, k], in units of the scales."""
+    """Covariance and curvature, [k, k], in units of the scales.
+
+    A prior is one more measurement, with a scatter of its own: what no log depends on
+    is as sure as its prior.
+    """
     r = gram.shape[1] - 1
+    told = np.zeros(len(inside))
     H = gram.sum(axis=0)[np.ix_(columns, columns)]
     known = problem.known
     if known is None:
         for i, name in enumerate(inside):
             prior = problem.free[name].prior
             if prior:
-                H[i, i] += (problem.model.scale[columns[i]] / prior) ** 2
+                told[i] = (problem.model.scale[columns[i]] / prior) ** 2
+        H += np.diag(told)
     else:  # it has the priors in it
         own = [i for i, name in enumerate(known.names) if name in inside]
         at = [inside.index(known.names[i]) for i in own]
@@ -145,7 +153,7 @@ def _covariance(
     # A direction that no residual sees has no scores either.
     unseen = vectors[:, ~seen]
     nothing = unseen @ unseen.T * problem.criteria.unseen_std**2
-    return strong @ (few * s.T @ s + pull) @ strong + nothing, H
+    return strong @ (few * s.T @ s + np.diag(told) + pull) @ strong + nothing, H
 
 
 def _at_end(name: str, end: str, own: Free, spec: Spec) -> str:
@@ -162,7 +170,11 @@ def _at_end(name: str, end: str, own: Free, spec: Spec) -> str:
 
 
 def _in_words(
-    unidentifiable: list[str], inside: list[str], H: np.ndarray, criteria: Criteria
+    unidentifiable: list[str],
+    unseen: Container[str],
+    inside: list[str],
+    H: np.ndarray,
+    criteria: Criteria,
 ) -> list[str]:
     """Which parameters the logs do not determine, and with which they trade."""
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
@@ -170,7 +182,7 @@ def _in_words(
     out = []
     for name in unidentifiable:
         i = inside.index(name)
-        if size[i] < criteria.hardly_shown * size.max():
+        if name in unseen:
             out.append(f"{name} is not identified: these logs hardly depend on it")
             continue
         weak = vectors[:, 0]

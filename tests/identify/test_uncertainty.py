@@ -1,0 +1,52 @@
+"""Standard deviations of parameters that a prior holds."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hydrojax.identify.estimation.known import Free
+from hydrojax.identify.inference.uncertainty import _covariance
+from hydrojax.identify.tracing.criteria import Criteria
+
+
+def covariance(columns, residual, priors, scale):
+    """Of a linear fit: columns [windows, rows, k], residual [windows, rows]."""
+    rows = np.concatenate([columns, residual[..., None]], axis=-1)
+    names = [f"p_{i}" for i in range(columns.shape[-1])]
+    problem = SimpleNamespace(
+        free={n: Free(0.0, -1.0, 1.0, p) for n, p in zip(names, priors, strict=True)},
+        model=SimpleNamespace(scale=scale),
+        known=None,
+        criteria=Criteria(),
+    )
+    gram = np.einsum("wti,wtj->wij", rows, rows)
+    return _covariance(problem, gram, names, np.arange(len(names)))[0]
+
+
+def test_what_no_log_depends_on_is_as_sure_as_its_prior():
+    """Beside a parameter that the logs determine, which keeps its own variance."""
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 20, 2)) * [1.0, 0.0]
+    scale, prior = np.array([1.0, 4.0]), 0.5
+    C = covariance(X, rng.normal(size=(200, 20)), (None, prior), scale)
+    assert np.sqrt(C[1, 1]) * scale[1] == pytest.approx(prior, rel=1e-9)
+    assert C[0, 0] == pytest.approx(1 / np.sum(X[..., 0] ** 2), rel=0.25)
+
+
+def test_a_prior_about_the_truth_gives_the_scatter_of_estimates():
+    """Truth drawn from the prior, noise drawn anew: the mean variance that is given is
+    that of the estimates about the truth.
+    """
+    rng, prior = np.random.default_rng(1), 0.05
+    given, found = [], []
+    for _ in range(400):
+        x = rng.normal(size=(40, 5))
+        truth = prior * rng.normal()
+        y = x * truth + rng.normal(size=x.shape)
+        H = np.sum(x * x) + prior**-2
+        at = np.sum(x * y) / H
+        C = covariance(x[..., None], y - x * at, (prior,), np.ones(1))
+        given.append(C[0, 0])
+        found.append(at - truth)
+    assert np.mean(given) == pytest.approx(np.var(found), rel=0.15)
