@@ -124,14 +124,57 @@ OUTSIDE: dict[str, Kind] = {
 """Effects that no vocabulary here names."""
 
 UNNAMED: dict[str, Kind] = {
+    # A film that is squeezed out over the way after a turn, viscous friction that grows
+    # along the stroke, a swollen land on which friction rises with pressure.
     "settling_friction": _one(a=0.06, way=1.5e-3),
     "tapered_bore": _one(b=1.2e5),
     "swollen_land": _one(kappa=1.9e-5, width=4e-3),
+    # The rest are in `unnamed`: on the command's way,
+    "drifting_null": _one(u_0=0.02, tau=5.0),
+    "pressure_null": _one(u_0=0.06),
+    "notched_spool": _one(k=0.15, width=0.5),
+    "coarse_converter": _one(lsb=0.05),
+    "sticking_spool": _one(u_s=0.02),
+    "sprung_linkage": _one(k=0.02, reach=0.1),
+    "simple_spool": _one(tau=0.2e-3),
+    # in the chambers,
+    "one_way_seal": _one(c=6e-14),
+    "cracked_piston": _one(k=5e-11),
+    "bell_mouthed_bore": _one(c=2e-11, x_from=2e-3),
+    "warming_seal": _one(c=1e-13, tau=6.0),
+    "dragged_oil": _one(k=1e-5),
+    "weeping_rod": _one(k=4e-11),
+    "creeping_hose": _one(C=4e-14, tau=0.2),
+    "warming_oil": _one(a=0.04, tau=6.0),
+    "softening_hose": _one(k=1e-17),
+    "gas_pocket": _one(c=1.5e-10, P_0=6.5e6),
+    # in friction,
+    "lip_seal": _one(kappa=1.2e-5),
+    "wiper_pressure": _one(kappa=6e-5),
+    "rusty_patch": _one(f=25.0, x_from=2e-3),
+    "one_way_stribeck": _one(f=60.0, v_s=4e-3),
+    "relaxing_seal": _one(f=40.0, tau=0.1),
+    "polished_bore": _one(f=40.0, way=0.05),
+    "rate_and_state": _one(f=20.0, theta=0.02, D=1e-3),
+    "loaded_bearing": _one(mu=0.05),
+    "quadratic_drag": _one(c=8e4),
+    "thick_oil": _one(b=2500.0, tau=5.0),
+    # between piston and load cell,
+    "rack_cogging": _one(f=10.0, pitch=2e-3),
+    "hardening_spring": _one(k=2e7),
+    "tether_drag": _one(c=8e4),
+    "pump_shake": _one(f=9.0, hertz=11.0),
+    "rolling_seal": _one(f=20.0, reach=3e-4),
+    "soft_hose": _one(k=2500.0, tau=1.0),
+    # and in what is read.
+    "creeping_cell": _one(a=0.03, tau=3.0),
+    "bent_bridge": _one(c=5e-5),
+    "warming_cell": _one(b=25.0, tau=6.0),
+    "sticky_cell": _one(a=0.15, reach=60.0),
+    "warming_gauge": _one(b=6e4, tau=6.0),
+    "bent_gauge": _one(c=5e-9),
 }
-"""More of these, which no mix draws from: a film that is squeezed out over the way
-after a turn, viscous friction that grows along the stroke, and a swollen land on which
-friction rises with pressure.
-"""
+"""More of these, which no mix draws from: what an engineer may meet at each place."""
 
 SIZES = (0.3, 1.0, 3.0)
 

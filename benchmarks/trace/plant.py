@@ -22,6 +22,7 @@ import numpy as np
 
 from .catalogue import Effects
 from .hidden import Hidden
+from .unnamed import Unnamed
 
 OMEGA, DAMPING = 320.0, 0.6  # of the motion drive with the nominal mass
 MASS = 80.0  # kg, load beyond the load cell
@@ -61,6 +62,7 @@ class Plant:
 
     def __init__(self, lanes: Sequence[Lane], step: float):
         self.e = e = Hidden([lane.effects for lane in lanes])
+        self.odd = Unnamed(e, step)
         self.step = step
         self.r = {n: np.array([la.rig[n] for la in lanes]) for n in lanes[0].rig}
         r = self.r
@@ -115,14 +117,14 @@ class Plant:
             g = g / np.sqrt(1 + self.loss * g * g)
         return g
 
-    def pressure_rates(self, P, P_s, x, v, g) -> np.ndarray:
-        """Pressure rates [2, L] (12)-(15) at one instant, Pa/s."""
+    def pressure_rates(self, P, P_s, x, v, g, t=0.0) -> np.ndarray:
+        """Pressure rates [2, L] (12)-(15) at one instant `t`, Pa/s."""
         e, P_r = self.e, self.r["P_r"]
         drop = np.array([P_s - P, P - P_r])
         flow = g * drop / np.sqrt(np.sqrt(drop * drop + self.core))
         if e.has("spool_flow_force"):
             flow = flow / (1 + e("spool_flow_force", "k_q") * np.abs(drop))
-        q = flow[0] - flow[1] - self.toward * v
+        q = flow[0] - flow[1] - self.toward * v + self.odd.flow(t, P, P_r, x, v)
         if e.has("internal_leakage", "external_leakage", "scored_bore"):
             score = np.exp(-((x / e("scored_bore", "width")) ** 2))
             leak = e("internal_leakage", "c_il") + e("scored_bore", "c_il") * score
@@ -139,6 +141,7 @@ class Plant:
         if e.has("entrained_air"):
             n, p = e("entrained_air", "n"), np.maximum(P, 0.0) + P_0
             soft = soft + e("entrained_air", "alpha") * (P_0 / p) ** (1 / n) / (n * p)
+        soft = self.odd.soft(t, P, soft)
         return q / (soft * (self.volume + self.toward * x))
 
     # -- friction and force --
@@ -171,8 +174,10 @@ class Plant:
         if e.has("swollen_land"):
             swollen = np.exp(-((x / e("swollen_land", "width")) ** 2))
             level = level + e("swollen_land", "kappa") * swollen * P.mean(0)
+        level = level + self.odd.level(x, v, P)
         fall = np.where(v > 0, r["k_vp"], r["k_vn"])
         out = turn * level + r["k_0"] - fall * v + e("viscous_friction", "b") * v
+        out = out + self.odd.friction(t, v)
         if e.has("tapered_bore"):
             out = out + e("tapered_bore", "b") * x * v
         if e.has("film_friction"):
@@ -219,18 +224,20 @@ class Plant:
         if e.has("end_cushion"):
             into = np.maximum(self.x - e("end_cushion", "x_from"), 0.0)
             piston = piston - e("end_cushion", "k") * into
+        piston = piston + self.odd.force(t, self.x, self.v)
         push_back = servo - self.K * self.x - self.D * self.v
         a = (piston + push_back) / self.mass
         cell = piston - e("payload_inertia", "m") * a
         return cell + e("loadcell_crosstalk", "force") * other, a, a_p
 
-    def advance(self, a, a_p, P_s, g) -> None:
-        """Everything but the valve over one substep; `P_s` and `g` at its middle."""
+    def advance(self, a, a_p, P_s, g, t=0.0) -> None:
+        """Everything but the valve over one substep; `P_s`, `g`, `t` at its middle."""
         h, r, e = self.step, self.r, self.e
         v = self._half(self.v, self._a, a)
         v_p = np.where(self.two, self._half(self.v_p, self._a_p, a_p), v)
         middle = self.P + h / 2 * self.rates
-        self.rates = self.pressure_rates(middle, P_s, self.x_p + h / 2 * v_p, v_p, g)
+        x = self.x_p + h / 2 * v_p
+        self.rates = self.pressure_rates(middle, P_s, x, v_p, g, t)
         self.P = self.P + h * self.rates
         keep, speed = np.exp(-np.abs(h * v_p) / r["z_ss"]), np.abs(v_p)
         z = keep * self.z + np.sign(v_p) * r["z_ss"] * (1 - keep)
@@ -246,6 +253,7 @@ class Plant:
             self.rest = self.rest + h / tau * (still - self.rest)
         self.x = self.x + h * v
         self.x_p = np.where(self.two, self.x_p + h * v_p, self.x)
+        self.odd.follow(self.x_p, v_p, self.z, self.P)
         self._a, self._a_p = a, a_p
         self.v = v + h / 2 * a
         self.v_p = np.where(self.two, v_p + h / 2 * a_p, self.v)

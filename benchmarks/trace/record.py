@@ -74,21 +74,21 @@ def _record(lanes, seconds, substeps, progress, ahead) -> list[Log]:
     parts = (np.arange(substeps) + 0.5) / substeps
     rows = np.empty((n, 7, len(lanes)))
     for k in range(n):
-        p_1, p_2, force = shown = sensors.reading(k * TICK)
+        t = (k - ahead) * TICK
+        p_1, p_2, force = shown = plant.odd.read(t, sensors.reading(k * TICK), TICK)
         skew.keep(k, 0, shown)
         angle = np.round(plant.encoder / r["radius"] / mark) * mark
         read = sensors.rounded(np.stack([p_1, p_2, P_s[k], force]) + noise[k])
         u = loop.command(angle, *read, wanted[k], rise[k])
         rows[k] = [u, angle, *read, wanted[k]]
-        edges = valve.edges(valve.openings(k, u))
-        g = plant.conductances((k - ahead) * TICK, edges)
+        spool = plant.odd.command(t, P_s[k], valve.openings(k, u))
+        g = plant.conductances(t, valve.edges(spool))
         line = P_s[k] + parts[:, None] * (P_s[k + 1] - P_s[k])
         for j in range(substeps):
-            plant.advance(a, a_p, line[j], g[j])
+            plant.advance(a, a_p, line[j], g[j], t + parts[j] * TICK)
             part = (j + 1) / substeps
             push = servo[k] + part * (servo[k + 1] - servo[k])
-            t = (k - ahead + part) * TICK
-            cell, a, a_p = plant.forces(t, other[k], push)
+            cell, a, a_p = plant.forces(t + part * TICK, other[k], push)
             sensors.follow(np.stack([*plant.P, cell]))
             if j + 1 < substeps:
                 skew.keep(k, j + 1, sensors.shown)

@@ -284,7 +284,7 @@ class LevelEffect(Effect):
     place = "level"
     needs = ("F",)
     of_turns: ClassVar[bool] = False
-    """Whether it asks for `at.since` and `at.way`, which are then remembered."""
+    """Whether it asks for `at.since`, `at.way` and `at.ages`, remembered only then."""
 
     def level(
         self, at: Sliding, base: Float[Array, "*batch"]
@@ -299,7 +299,7 @@ class FrictionForce(Effect):
     place = "friction"
     needs = ("F",)
     of_turns: ClassVar[bool] = False
-    """Whether it asks for `at.since` and `at.way`, which are then remembered."""
+    """Whether it asks for `at.since`, `at.way` and `at.ages`, remembered only then."""
 
     def force(self, at: Sliding) -> Float[Array, "*batch"]:
         """Friction force beside the paper's f_c, N."""

@@ -21,8 +21,8 @@ class Sliding(NamedTuple):
     the speed of an oil film that comes late, less `abs(v)` (m/s). `P_seal` is the mean
     of the pressures (Pa) that push on the piston, which `Rig.output_force` fills in.
     `slips` are the deflections (m) of what gives friction its hysteresis, `since` and
-    `way` the time (s) and the way (m) since the piston turned, where an effect asks for
-    them.
+    `way` the time (s) and the way (m) since friction turned, and `ages` the ages (s) of
+    the contact for the ways in `plant.turned.AGES`, where an effect asks for them.
     """
 
     t: Float[Array, "*batch"]
@@ -40,6 +40,7 @@ class Sliding(NamedTuple):
     slips: tuple[Float[Array, "*batch"], ...] = ()
     since: Float[Array, "*batch"] | float = 0.0
     way: Float[Array, "*batch"] | float = 0.0
+    ages: tuple[Float[Array, "*batch"] | float, ...] = ()
 
 
 class Theta(NamedTuple):

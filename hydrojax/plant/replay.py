@@ -147,7 +147,8 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
         slips.append(jnp.concatenate([begun[:, None], then], axis=1))
     turned = None
     if rig.asks_of_turns:
-        turned = run_turned(jnp.sum(dx.reshape(s, n, quarters), axis=-1), motion.h)
+        moved = jnp.sum(dx.reshape(s, n, quarters), axis=-1)
+        turned = run_turned(z / rig.mechanics.z_ss, moved, motion.h)
     return Past(z, speed, v, tuple(slips), turned)
 
 
@@ -472,14 +473,13 @@ def forces(
     log, `past` at the windows.
     """
     z, speed, v, slips, turned = past
-    since, way = (turned.since, turned.way) if turned else (0.0, 0.0)
     rate = rig.mechanics.z_rate(z, v)
     speed, lag = rig.films(speed)
     at = Sliding(
         w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s, lag,
-        slips=slips, since=since, way=way,
+        slips=slips,
     )  # fmt: skip
-    return rig.output_force(at)
+    return rig.output_force(at._replace(**(turned.seen() if turned else {})))
 
 
 def sensed(

@@ -270,12 +270,14 @@ class Rig(eqx.Module):
                 keep, add = effect.follow(state.speed[..., 1], now, inputs.h)
                 films.append(keep * state.speed[..., 2 + i] + add)
             speed = jnp.stack([speed, *films], axis=-1)
-        turned = state.turned and state.turned.moved(jnp.sum(dx, axis=-1), inputs.h)
+        turned = state.turned and state.turned.moved(
+            z / self.mechanics.z_ss, jnp.sum(dx, axis=-1), inputs.h
+        )
         return state._replace(z=z, speed=speed, slips=slips, turned=turned)
 
     @property
     def asks_of_turns(self) -> bool:
-        """Whether any effect asks when, and how far ago, the piston turned."""
+        """Whether any effect asks for what is remembered of turns."""
         return any(e.of_turns for e in (*self.level, *self.friction))
 
     def films(
@@ -293,7 +295,7 @@ class Rig(eqx.Module):
         """What friction sees at the end of a tick."""
         v = stretch.velocity(self.stretch, inputs)
         speed, lag = self.films(state.speed)
-        turned = state.turned
+        turned = state.turned.seen() if state.turned else {}
         return Sliding(
             t=inputs.t,
             x=inputs.x[..., -1],
@@ -307,8 +309,7 @@ class Rig(eqx.Module):
             P_s=inputs.P_s[..., 1],
             lag=lag,
             slips=state.slips,
-            since=turned.since if turned else 0.0,
-            way=turned.way if turned else 0.0,
+            **turned,
         )
 
     def read(

@@ -18,7 +18,7 @@ from hydrojax.plant.load import AbstractLoad, Prescribed, environment_of
 from hydrojax.plant.rig import Rig
 from hydrojax.plant.state import State, StepInput
 from hydrojax.plant.stretch import ahead
-from hydrojax.plant.turned import Turned
+from hydrojax.plant.turned import at_rest
 
 HALVINGS = 24
 """Of the bracket that holds the force: to 1e-7 of a tick's change."""
@@ -78,7 +78,7 @@ def start(
         lacking=(rest, rest),
         line=rig.line_init(*P),
         slips=slips,
-        turned=Turned(rest, rest, rest, rest) if rig.asks_of_turns else None,
+        turned=at_rest(rest) if rig.asks_of_turns else None,
     )
     paths = {"P_a1": (rig.gauge(0), P[0]), "P_a2": (rig.gauge(1), P[1])}
     paths["F"] = (rig.sensor_F, F)

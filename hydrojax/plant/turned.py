@@ -1,44 +1,89 @@
-"""When, and how far ago, the piston turned."""
+"""When, and how far ago, friction turned, and how old the seal's contact is."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hydrojax.plant.friction import run_stop
+from hydrojax.plant.friction import run_linear
 
-TURN = 1e-5
-"""Half the way (m) back after which the piston has turned: a coarse encoder's step is
-half as long, so that its noise at rest is no turn."""
+TURN = 0.1
+"""Share of its largest deflection to which the bristle must bend to the other side for
+friction to have turned: the noise of a coarse encoder at rest bends it by less."""
+
+AGES = (1e-4, 1e-3, 1e-2)
+"""Ways (m) over which a contact is renewed: of asperities, and of seals that creep."""
 
 
 class Turned(NamedTuple):
-    """What is remembered of the piston's last turn.
+    """What is remembered of the last turn, and of the contact.
 
-    `slip` is the deflection (m) of a stop that slides at `TURN`, `side` the side at
-    which it slid last (1, -1, 0 before it did): the piston has turned where it slides
-    at the other one. `since` and `way` as in `Sliding`.
+    Friction turns where the bristle bends to the other side, which it does without a
+    jump of the force: a swing too small for that is no turn. `side` is the side to
+    which it bent last (1, -1, 0 before it did), `since` and `way` as in `Sliding`, and
+    `ages` those (s) of the contact for each way `D` of `AGES`: at rest it ages by a
+    second a second, and sliding renews it, `dA/dt = 1 - abs(v) A / D` (Dieterich's law
+    of friction by rate and state; Ruina, 1983).
     """
 
-    slip: Float[Array, "*batch"]
     side: Float[Array, "*batch"]
     since: Float[Array, "*batch"]
     way: Float[Array, "*batch"]
+    ages: tuple[Float[Array, "*batch"], ...]
 
-    def moved(self, dx: Float[Array, "*batch"], h: Float[Array, "*batch"]) -> Turned:
-        """The same after a tick of length `h` (s) that moves the piston by `dx` (m)."""
-        slip = jnp.clip(self.slip + dx, -TURN, TURN)
-        side = jnp.where(jnp.abs(slip) < TURN, self.side, jnp.sign(slip))
+    def moved(
+        self,
+        bent: Float[Array, "*batch"],
+        dx: Float[Array, "*batch"],
+        h: Float[Array, "*batch"],
+    ) -> Turned:
+        """The same after a tick of length `h` (s) that moves the piston by `dx` (m) and
+        leaves the bristle `bent` to that share of its largest deflection.
+        """
+        side = jnp.where(jnp.abs(bent) < TURN, self.side, jnp.sign(bent))
         new = side != self.side
         since = jnp.where(new, 0.0, self.since + h)
-        return Turned(slip, side, since, jnp.where(new, 0.0, self.way + jnp.abs(dx)))
+        way = jnp.where(new, 0.0, self.way + jnp.abs(dx))
+        ages = []
+        for age, D in zip(self.ages, AGES, strict=True):
+            keep, add = _age_map(dx, h, D)
+            ages.append(keep * age + add)
+        return Turned(side, since, way, tuple(ages))
+
+    def seen(self) -> dict[str, Any]:
+        """What of it `Sliding` has, by field."""
+        return {"since": self.since, "way": self.way, "ages": self.ages}
 
 
-def run_turned(dx: Float[Array, "segments n"], h: Float[Array, "segments n"]) -> Turned:
-    """`Turned` at the n+1 ticks of segments that begin with none, [S, n+1] each."""
+def at_rest(like: Float[Array, "*batch"]) -> Turned:
+    """Before the first tick, of the shape of `like`."""
+    none = jnp.zeros_like(like)
+    return Turned(none, none, none, (none,) * len(AGES))
+
+
+def _age_map(
+    dx: Float[Array, "*batch"], h: Float[Array, "*batch"], D: float
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """The step of an age as `A -> keep A + add`, exact for an even speed."""
+    share = jnp.abs(dx) / D
+    rest = share == 0
+    part = jnp.where(rest, 1.0, -jnp.expm1(-share) / jnp.where(rest, 1.0, share))
+    return jnp.exp(-share), h * part
+
+
+def run_turned(
+    bent: Float[Array, "segments n+1"],
+    dx: Float[Array, "segments n"],
+    h: Float[Array, "segments n"],
+) -> Turned:
+    """`Turned` at the n+1 ticks of segments that begin at rest, [S, n+1] each.
+
+    `bent` is the bristle's deflection at the ticks over its largest; `dx` (m) and `h`
+    (s) are of the ticks between.
+    """
     start = jnp.zeros_like(dx[:, 0])
 
     def whole(first, rest):
@@ -48,13 +93,13 @@ def run_turned(dx: Float[Array, "segments n"], h: Float[Array, "segments n"]) ->
         """The last tick up to each at which `here` was so; the first before it was."""
         return jax.lax.cummax(jnp.where(here, jnp.arange(here.shape[1]), 0), axis=1)
 
-    slip = whole(start, run_stop(dx, jnp.asarray(TURN), start))
-    slid = jnp.where(jnp.abs(slip) < TURN, 0.0, jnp.sign(slip))
-    side = jnp.take_along_axis(slid, held_from(slid != 0), axis=1)
+    bends = jnp.where(jnp.abs(bent) < TURN, 0.0, jnp.sign(bent))
+    side = jnp.take_along_axis(bends, held_from(bends != 0), axis=1)
     turn = held_from(jnp.diff(side, axis=1, prepend=0.0) != 0)
 
     def after(steps):
         run = whole(start, jnp.cumsum(steps, axis=1))
         return run - jnp.take_along_axis(run, turn, axis=1)
 
-    return Turned(slip, side, after(h), after(jnp.abs(dx)))
+    ages = tuple(whole(start, run_linear(*_age_map(dx, h, D), start)) for D in AGES)
+    return Turned(side, after(h), after(jnp.abs(dx)), ages)

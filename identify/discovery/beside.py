@@ -9,8 +9,9 @@ from jaxtyping import Float
 
 from hydrojax.identify.case import Case
 from hydrojax.identify.discovery.free_form import coefficients
-from hydrojax.identify.discovery.search import Search, above_noise, known_of
+from hydrojax.identify.discovery.search import above_noise
 from hydrojax.identify.discovery.smooth import pull
+from hydrojax.identify.discovery.with_curves import Search, known_of
 from hydrojax.identify.inference.tolerance import with_tolerances
 from hydrojax.identify.inference.uncertainty import estimate_uncertainty
 from hydrojax.identify.results.outcome import Parameter

@@ -7,14 +7,22 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from hydrojax.identify.case import Case
 from hydrojax.identify.discovery.beside import parameters_beside
-from hydrojax.identify.discovery.free_form import FORMS, SLIPS, deflection_name
+from hydrojax.identify.discovery.free_form import (
+    FORMS,
+    PISTON,
+    SLIPS,
+    TERMS,
+    FreeCommand,
+    deflection_name,
+)
 from hydrojax.identify.discovery.laid import laid_over
-from hydrojax.identify.discovery.search import Search, search
+from hydrojax.identify.discovery.search import search
 from hydrojax.identify.discovery.shown import found_curves
+from hydrojax.identify.discovery.with_curves import Search
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import FitPoint, reweighted
 from hydrojax.identify.estimation.known import COULOMB, free_effect, free_parameters
@@ -24,7 +32,7 @@ from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
-from hydrojax.plant.friction import run_stop
+from hydrojax.plant.friction import run_linear, run_stop
 from hydrojax.plant.replay import Motion, friction_memory
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_rig, effects_of
@@ -82,17 +90,22 @@ def samples_of(data: Data, rig: Rig) -> dict[str, Float[np.ndarray, "rows"]]:
     out = {"v": rows(w.v), "x": rows(w.x), "a": rows(w.a), "t": rows(w.t)}
     out["z"] = rows(now.z)
     if now.turned:
-        out |= {"since": rows(now.turned.since), "way": rows(now.turned.way)}
-    out |= {
-        deflection_name(slip): rows(past._replace(slips=(way,)).within(w).slips[0])
-        for slip, way in deflections(data.motion)
-    }
+        seen = (now.turned.since, now.turned.way, *now.turned.ages)
+        names = list(PISTON)[-len(seen) :]
+        out |= {name: rows(y) for name, y in zip(names, seen, strict=True)}
+
+    def within(y) -> Float[np.ndarray, "rows"]:
+        return rows(past._replace(slips=(y,)).within(w).slips[0])
+
+    remembered = deflections(data.motion)
+    out |= {deflection_name(slip): within(y) for slip, y in remembered}
     if data.driven_by == "u" or np.ptp(rows(w.F)) > 0:
         out |= {"P_mean": (P_1 + P_2) / 2, "P_net": P_2 - P_1}
     elif data.driven_by == "pressures":
         out["P_mean"] = (P_1 + P_2) / 2
     if data.driven_by == "u":
         out |= {"u": rows(w.u), "P_a1": P_1, "P_a2": P_2, "P": np.r_[P_1, P_2]}
+        out |= {name: within(y) for name, y in commanded(data.motion)}
     return out
 
 
@@ -106,6 +119,26 @@ def deflections(
         w = np.asarray(run_stop(dx, jnp.asarray(slip), jnp.zeros(s)))
         if np.any(w == slip) and np.any(w == -slip):
             yield slip, np.concatenate([np.zeros((s, 1)), w[:, parts - 1 :: parts]], 1)
+
+
+def commanded(
+    motion: Motion,
+) -> Iterator[tuple[str, Float[Array, "segments n"]]]:
+    """What the command's curves remember of it, at the ticks: of every play that the
+    command crosses, and of the lags.
+    """
+    u, start = jnp.asarray(motion.u), jnp.asarray(motion.u[:, 0])
+    h = jnp.asarray(motion.h)
+    for term in TERMS:
+        if term.form is FreeCommand and term.slip:
+            w = run_stop(jnp.diff(u, axis=1), jnp.asarray(term.slip), 0 * start)
+            if jnp.any(w == term.slip) and jnp.any(w == -term.slip):
+                yield term.sampled, jnp.pad(w, ((0, 0), (1, 0)))
+        elif term.form is FreeCommand and term.tau:
+            keep = jnp.exp(-h / term.tau)
+            y = run_linear(keep, (1 - keep) * u[:, :-1], start)
+            y = jnp.concatenate([start[:, None], y], axis=1)
+            yield term.sampled, y - u
 
 
 def searched(

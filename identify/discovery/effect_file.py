@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -12,8 +13,9 @@ from jaxtyping import Float
 
 from hydrojax import units
 from hydrojax.identify.discovery.formula import Formula
-from hydrojax.identify.discovery.free_form import Term
+from hydrojax.identify.discovery.free_form import PISTON, Term
 from hydrojax.identify.results.curve import FoundCurve
+from hydrojax.plant.turned import AGES
 
 BASES = {
     "command": "CommandChannel",
@@ -25,7 +27,6 @@ BASES = {
     "force": "ForceEffect",
 }
 METHODS = {
-    "command": ("step(self, memory, u, h)", "memory, u + {}"),
     "compliance": ("compliance(self, P)", "{}"),
     "level": ("level(self, at, base)", "{}"),
     "friction": ("force(self, at)", "{}"),
@@ -34,7 +35,10 @@ METHODS = {
 }
 SIGNALS = {
     **{name: f"at.{name}" for name in ("v", "x", "a", "t", "z", "since", "way")},
+    **{f"age_{1e6 * D:.0f}um": f"at.ages[{i}]" for i, D in enumerate(AGES)},
     "u": "u",
+    "back": "w",
+    "behind": "behind",
     "w": "w",
     "P": "P",
     "P_mean": "(at.P_a1 + at.P_a2) / 2",
@@ -43,6 +47,9 @@ SIGNALS = {
 FLOWING = {"v": "at.v", "x": "at.x", "u": "spool", "P_net": "at.P_a2 - at.P_a1"}
 AXES = {
     "w": "x",
+    "back": "u_rate",
+    "behind": "u_rate",
+    **{f"age_{1e6 * D:.0f}um": "v" for D in AGES},
     "since": "t",
     "way": "x",
     "P_mean": "P_a1 + P_a2",
@@ -50,6 +57,9 @@ AXES = {
     "P": "P_a1 + P_a2",
 }
 """What a residual is drawn against, by signal, where it is not the signal."""
+
+OF_TURNS = list(PISTON)[list(PISTON).index("since") :]
+"""Signals that are remembered where an effect asks for them."""
 
 NAMES = ("logaddexp(", "exp(", "sign(", "maximum(", "sin(", "cos(", "tanh(", "abs(")
 """What a form's code calls."""
@@ -62,7 +72,7 @@ class FoundLaw:
     Attributes:
         term: place and signal.
         knots: of the curve, and its `coefficients`, SI.
-        seen: range of the signal on which it rests.
+        seen: range of the signal on which it rests, `gaps` those in it without samples.
         formula: in its place, if one does as well.
         command: the command's unit.
     """
@@ -73,6 +83,7 @@ class FoundLaw:
     seen: tuple[float, float]
     formula: Formula | None
     command: str = "V"
+    gaps: tuple[tuple[float, float], ...] = ()
 
     @property
     def unit(self) -> str:
@@ -146,7 +157,6 @@ def effect_source(law: FoundLaw, name: str) -> str:
     term = law.term
     by = f" times {term.factor}" if term.factor else ""
     needs = '("u",)' if term.place in ("command", "flow", "compliance") else '("F",)'
-    low, high = (f"{end:.4g}" for end in law.seen)
     said = f"    {law.says()}" if law.formula else "    A curve, as found."
     return "\n".join(
         [
@@ -157,20 +167,33 @@ def effect_source(law: FoundLaw, name: str) -> str:
             "",
             said,
             "",
-            f"    It rests on {term.signal} from {low} to {high} {law.signal_unit};",
-            "    beyond that it is extrapolated.",
+            *_rests_on(law),
             '    """',
             "",
             f'    name = "{name}"',
             f"    needs = {needs}",
             f'    residual_axis = "{AXES.get(term.signal, term.signal)}"',
-            *(["    of_turns = True"] if term.signal in ("since", "way") else []),
+            *(["    of_turns = True"] if term.signal in OF_TURNS else []),
             *_declared(law),
             "",
             *_law(law),
             "",
         ]
     )
+
+
+def _rests_on(law: FoundLaw) -> list[str]:
+    """Where an effect is what logs show, and where it is a guess: lines of its text."""
+    unit = law.signal_unit
+
+    def span(ends: tuple[float, float]) -> str:
+        return "from {:.4g} to {:.4g} ".format(*ends) + unit
+
+    text = f"It rests on {law.term.signal} {span(law.seen)}; "
+    text += "beyond that it is extrapolated."
+    if law.gaps:
+        text += f" Without samples, and a guess, {', '.join(map(span, law.gaps))}."
+    return textwrap.wrap(text, 84, initial_indent="    ", subsequent_indent="    ")
 
 
 def _declared(law: FoundLaw) -> list[str]:
@@ -250,12 +273,41 @@ def _law(law: FoundLaw) -> list[str]:
     lines = ["    def along(self, s):", f"        return {body}", ""]
     if law.term.place == "flow":
         return [*lines, *_flow(law.term)]
+    if law.term.place == "command":
+        return [*lines, *_command(law.term)]
     if law.term.slip:
         lines += ["    def reach(self):", f"        return {law.term.slip!r}  # m", ""]
     head, out = METHODS[law.term.place]
     factor = f"({SIGNALS[law.term.factor]}) * " if law.term.factor else ""
     call = f"{factor}self.along({SIGNALS[law.term.signal]})"
     return [*lines, f"    def {head}:", f"        return {out.format(call)}"]
+
+
+def _command(term: Term) -> list[str]:
+    """The methods of a channel that adds a curve to the command."""
+    memory, lines = "memory", []
+    if term.slip:
+        end = f"{term.slip!r}"
+        lines = [
+            "        before, w = memory",
+            "        w = w + u - before",
+            f"        w = jnp.where(w > {end}, {end}, w)",
+            f"        w = jnp.where(w < -{end}, -{end}, w)",
+        ]
+        memory = "(u, w)"
+    elif term.tau:
+        lines = [
+            f"        fade = -jnp.expm1(-h / {term.tau!r})",
+            f"        behind = (memory - u) * fade * {term.tau!r} / h",
+        ]
+        memory = "u + (memory - u) * (1 - fade)"
+    begin = {"back": "u, 0 * u", "behind": "u"}.get(term.signal)
+    return [
+        *(["    def init(self, u):", f"        return {begin}", ""] if begin else []),
+        "    def step(self, memory, u, h):",
+        *lines,
+        f"        return {memory}, u + self.along({SIGNALS[term.signal]})",
+    ]
 
 
 def _jax(code: str) -> str:

@@ -28,11 +28,12 @@ from hydrojax.plant.effect import (
     HysteresisForce,
     LevelEffect,
 )
+from hydrojax.plant.turned import AGES
 
 COUNT = 14
 """Coefficients of a curve."""
 
-SIGNALS = 9
+SIGNALS = 12
 """How many signals a place has at most."""
 
 
@@ -96,7 +97,8 @@ class _OnPiston(FreeForm):
         difference = at.P_a2 - at.P_a1
         mean = (at.P_a1 + at.P_a2) / 2
         seen = (at.v, at.x, at.a, mean, difference, at.t, at.z)
-        return self.along((*seen, at.since, at.way) if self.of_turns else seen)
+        past = (at.since, at.way, *at.ages) if self.of_turns else ()
+        return self.along((*seen, *past))
 
 
 class FreeLevel(_OnPiston, LevelEffect):
@@ -178,13 +180,30 @@ class FreeCompliance(FreeForm, ComplianceEffect):
 
 
 class FreeCommand(FreeForm, CommandChannel):
-    """A curve added to the command."""
+    """A curve added to the command: over the command itself, over how far it has gone
+    back since it turned, up to `slip` ({u}) to either side, or over how far a lag of
+    `tau` (s) is behind it.
+    """
 
     name = "free_command"
+    slip: Float[Array, ""] = _array(0.1)
+    tau: Float[Array, ""] = _array(1e-2)
+
+    def init(self, u):
+        """The command before, its way back, and the lag's output."""
+        return u, 0 * u, u
 
     def step(self, memory, u, h):
-        """The command and the curve of it."""
-        return memory, u + self.along((u,))
+        """The command and the curve of it, at its mean over the step."""
+        before, w, y = memory
+        w = w + u - before
+        # Not a clip, which halves derivatives where the command stands still.
+        w = jnp.where(
+            w > self.slip, self.slip, jnp.where(w < -self.slip, -self.slip, w)
+        )
+        fade = -jnp.expm1(-h / self.tau)
+        behind = (y - u) * fade * self.tau / h
+        return (u, w, y + (u - y) * fade), u + self.along((u, w, behind))
 
 
 FORMS: tuple[type[FreeForm], ...] = (
@@ -211,7 +230,8 @@ class Term:
         times: index of the factor among 1 and the signals of the place.
         size: a typical value of the curve, SI.
         share: of a flow, by chamber.
-        slip: of what has hysteresis, the deflection at which it slides, m.
+        slip: of what has hysteresis, the deflection at which it slides, m or {u}.
+        tau: of what comes late, its time constant, s.
     """
 
     form: type[FreeForm]
@@ -224,10 +244,15 @@ class Term:
     times: int = 0
     share: tuple[float, float] = (1.0, 1.0)
     slip: float = 0.0
+    tau: float = 0.0
 
     @property
     def sampled(self) -> str:
         """What `samples_of` calls the signal."""
+        if self.form is FreeCommand and self.slip:
+            return f"{self.signal}_{1e3 * self.slip:.0f}m"
+        if self.tau:
+            return f"{self.signal}_{1e3 * self.tau:.0f}ms"
         return deflection_name(self.slip) if self.slip else self.signal
 
     @property
@@ -248,8 +273,10 @@ class Term:
         own: dict[str, Array] = {}
         if self.form is FreeFlow:
             own = {"share": jnp.asarray(self.share)}
-        if self.form is FreeHysteresis:
+        if self.slip:
             own = {"slip": jnp.asarray(self.slip)}
+        if self.tau:
+            own = {"tau": jnp.asarray(self.tau)}
         return self.form(
             knots=jnp.asarray(knots, float),
             signal=jnp.asarray(np.eye(SIGNALS)[self.which]),
@@ -269,10 +296,11 @@ PISTON = {
     "z": "m",
     "since": "s",
     "way": "m",
+    **{f"age_{1e6 * D:.0f}um": "s" for D in AGES},
 }
 """Signals of the piston, in the order of `_OnPiston.at`, with their units: `P_mean` is
-(P_a1 + P_a2) / 2, `P_net` is P_a2 - P_a1; `since` and `way` are time and way since it
-turned."""
+(P_a1 + P_a2) / 2, `P_net` is P_a2 - P_a1; `since` and `way` are time and way since
+friction turned, the ages those of a contact that so much way renews."""
 
 
 def _piston(
@@ -298,10 +326,18 @@ def deflection_name(slip: float) -> str:
     return f"w_{1e6 * slip:.0f}um"
 
 
+PLAYS = (3e-3, 1e-2, 3e-2, 0.1, 0.3)
+"""Half-widths of a play of the command that are tried, {u}."""
+
+LAGS = (3e-3, 1e-2, 3e-2, 0.1)
+"""Time constants of a lag of the command that are tried, s."""
+
 _BOTH, _FIRST, _SECOND, _ACROSS = (1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (1.0, -1.0)
 
 TERMS: tuple[Term, ...] = (
     Term(FreeCommand, "u", 0, "{u}", "{u}", 0.1),
+    *(Term(FreeCommand, "back", 1, "{u}", "{u}", 0.1, slip=slip) for slip in PLAYS),
+    *(Term(FreeCommand, "behind", 2, "{u}", "{u}", 0.1, tau=tau) for tau in LAGS),
     *(
         Term(FreeFlow, *signal, "m^3/s", 1e-6, share=share)
         for signal, share in (
@@ -320,6 +356,7 @@ TERMS: tuple[Term, ...] = (
     Term(FreeFlow, "x", 3, "m", "m^3/(s*Pa)", 1e-13, "P_net", 2, _ACROSS),
     Term(FreeCompliance, "P", 0, "Pa", "1/Pa", 1e-10),
     *_piston(FreeLevel, ("v", "x", "P_mean", "P_net", "t", "since", "way")),
+    *_piston(FreeLevel, [name for name in PISTON if name.startswith("age")]),
     *_piston(FreeLevel, ("P_mean",), "N*s/m", 1e3, "v"),
     *_piston(FreeLevel, ("x",), "N/Pa", 1e-5, "P_mean"),
     *_piston(FreeFriction, ("v", "z", "a", "P_net")),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -11,16 +11,20 @@ from scipy import stats
 
 from hydrojax.identify.discovery.free_form import (
     FORMS,
-    coefficients,
 )
-from hydrojax.identify.discovery.laid import Laid, with_laid
+from hydrojax.identify.discovery.laid import Laid
 from hydrojax.identify.discovery.smooth import Columns, Smooth, directions, smoothed
-from hydrojax.identify.estimation.fit import fit_jointly, fit_pressures, only
-from hydrojax.identify.estimation.known import Known
-from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.discovery.with_curves import (
+    Search,
+    columns_of,
+    fitted,
+    refitted,
+    relaid,
+)
+from hydrojax.identify.estimation.fit import only
+from hydrojax.identify.estimation.problem import PRESSURES
 from hydrojax.identify.tracing.judge import chance, cost, judge, may_rise, worse
 from hydrojax.identify.tracing.score import (
-    Projection,
     Score,
     family,
     worth_a_refit,
@@ -29,37 +33,8 @@ from hydrojax.identify.tracing.screen import size_that_matters
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.plant.places import PLACES
 
-
-@dataclass(frozen=True)
-class Curve:
-    """A curve that was kept: how smooth it is, and how validation errors fell.
-
-    `before` and `after` are squared errors by window and channel; `alike` the terms
-    that did as well.
-    """
-
-    laid: Laid
-    smooth: Smooth
-    p_value: float
-    before: Float[np.ndarray, "windows 3"]
-    after: Float[np.ndarray, "windows 3"]
-    alike: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Search:
-    """Where a search stands: the fit, the curves in it, and, where it has ended, the
-    sums of their columns by name.
-    """
-
-    state: Tracing
-    curves: tuple[Curve, ...] = ()
-    columns: Mapping[str, Columns] = field(default_factory=dict)
-
-    @property
-    def taken(self) -> set[str]:
-        """Places that have a curve."""
-        return {c.laid.term.place for c in self.curves}
+RELAID = 2
+"""How often a fit goes on from knots that were drawn anew, at most."""
 
 
 def search(begun: Search, every: Sequence[Laid]) -> Search:
@@ -115,64 +90,6 @@ def above_noise(state: Tracing, inflation: float, chances: float = 1.0) -> float
     spread = np.sum((noise / weights) ** 4)
     chance = np.sqrt(2 * rows * inflation * spread)
     return max(float(rows * np.sum(over) + chances * chance), 0.0)
-
-
-def columns_of(
-    at: Search, laid: Sequence[Laid], weights: Float[np.ndarray, "3"]
-) -> dict[str, Columns]:
-    """The sums of terms at the present fit, by name, at most one for each place."""
-    state = with_terms(at.state, laid)
-    problem = state.problem
-    names, values = list(problem.model.names), state.point.values
-    gram = np.array(problem.sums_at(values, weights).gram)
-    out = {}
-    for one in laid:
-        own = coefficients(one.effect)
-        fitted = [names.index(n) for n in state.free if n not in own]
-        # The penalties of what is fitted already are one more window's sums.
-        known = known_of(problem, at.curves, [names[i] for i in fitted])
-        index = [names.index(n) for n in known.names]
-        scale = problem.model.scale[index]
-        own_gram = np.zeros((1, *gram.shape[1:]))
-        own_gram[0][np.ix_(index, index)] = known.curvature
-        away = known.curvature @ ((values[index] - known.values) / scale)
-        own_gram[0, index, -1] = own_gram[0, -1, index] = away
-        every = np.concatenate([gram, own_gram])
-        projection = Projection(every, fitted, np.zeros(len(names)))
-        columns = [names.index(n) for n in own]
-        out[one.term.name] = Columns.of(projection, columns, values[columns])
-    return out
-
-
-def with_terms(state: Tracing, laid: Sequence[Laid]) -> Tracing:
-    """The state with terms in the places of the free forms."""
-    effects = [one.effect for one in laid]
-    return replace(
-        state,
-        problem=with_laid(state.problem, effects),
-        check=with_laid(state.check, effects),
-    )
-
-
-def known_of(problem: Problem, curves: Sequence[Curve], names: Sequence[str]) -> Known:
-    """Priors of the parameters among `names`, and the curves' smoothing, as one."""
-    model, held, values, blocks = problem.model, [], [], []
-    for name in names:
-        f = problem.free[name]
-        if f.prior and not any(name in coefficients(c.laid.effect) for c in curves):
-            held.append(name)
-            values.append(f.start)
-            blocks.append((model.scale[model.names.index(name)] / f.prior) ** 2)
-    curvature = np.diag(np.array(blocks, float))
-    for c in curves:
-        own = coefficients(c.laid.effect)
-        if set(own) <= set(names):
-            k, n = len(own), len(held)
-            held, values = [*held, *own], [*values, *[0.0] * k]
-            curvature = np.block(
-                [[curvature, np.zeros((n, k))], [np.zeros((k, n)), c.smooth.penalty]]
-            )
-    return Known(tuple(held), np.array(values), curvature)
 
 
 def _score(name: str, columns: Columns, smooth: Smooth) -> Score:
@@ -243,62 +160,20 @@ def _round(at: Search, every: Sequence[Laid], noise: np.ndarray) -> Search:
     p_value = min(found.p_value, len(scores) * chance(before, found.after, noise))
     curves = (*best.curves[:-1], replace(found, alike=alike, p_value=p_value))
     state.progress(f"kept {curves[-1].laid.term.name}")
-    return replace(best, curves=curves)
+    return sharpened(replace(best, curves=curves), noise)
 
 
-def fitted(
-    at: Search,
-    one: Laid,
-    smooth: Smooth,
-    p_value: float,
-    before: Float[np.ndarray, "windows 3"],
-    noise: Float[np.ndarray, "3"],
-) -> Search:
-    """The search with one more curve, fitted with all that is free; its smoothing is
-    found again where the fit ends, and the fit goes on from there.
-    """
-    state = with_terms(at.state, [one])
-    own = coefficients(one.effect)
-    names = state.problem.model.names
-    index = [names.index(n) for n in own]
-    values = state.point.values.copy()
-    values[index] = smooth.c
-    free = (*state.free, *own)
-    state = replace(state, free=free, point=replace(state.point, values=values))
-    curve = Curve(one, smooth, p_value, before, before)
-    there = Search(state, (*at.curves, curve))
-    for again in (True, False):
-        there = refitted(there, noise)
-        if again:
-            weights = np.where(np.isfinite(noise), there.state.point.weights, np.inf)
-            columns = columns_of(there, [one], weights)[one.term.name]
-            curve = replace(curve, smooth=smoothed(columns))
-            there = replace(there, curves=(*at.curves, curve))
-    state = there.state
-    after = state.check.errors_at(state.point.values)
-    curve = replace(curve, after=after)
-    return replace(there, curves=(*at.curves, curve))
-
-
-def refitted(at: Search, noise: Float[np.ndarray, "3"]) -> Search:
-    """The fit of all that is free, on the pressures alone where no more is seen."""
-    state, problem = at.state, at.state.problem
-    sides = (len(problem.side(state.free, hydraulic)) for hydraulic in (True, False))
-    problem = replace(problem, declared=tuple(sides))
-    if np.isfinite(noise[2]):
-        known = known_of(problem, at.curves, state.free)
-        problem, point = fit_jointly(
-            replace(problem, known=known),
-            state.point.values,
-            state.free,
-            state.point.weights,
-        )
-    else:
-        seen = problem.side(state.free, True)
-        known = known_of(problem, at.curves, seen)
-        problem, values = fit_pressures(
-            replace(problem, known=known), state.point.values, state.free
-        )
-        point = replace(state.point, values=values)
-    problem = replace(problem, known=None)
-    return replace(at, state=replace(state, problem=problem, point=point))
+def sharpened(at: Search, noise: Float[np.ndarray, "3"]) -> Search:
+    """The last curve over other knots, as long as these help and more is left."""
+    for _ in range(RELAID):
+        if at_noise(at.state, noise):
+            break
+        there = relaid(at, noise)
+        before, after = at.curves[-1].after, there.curves[-1].after
+        by = may_rise(there.state, [there.curves[-1].laid.effect], noise)
+        verdict = judge(there.state, before, after, noise, by)
+        at.state.progress(f"over other knots: {verdict}")
+        if verdict != "helps":
+            break
+        at = there
+    return at

@@ -14,11 +14,12 @@ from hydrojax.identify.discovery.effect_file import FoundLaw, effect_source
 from hydrojax.identify.discovery.formula import formula_of, onto_splines
 from hydrojax.identify.discovery.free_form import coefficients
 from hydrojax.identify.discovery.laid import Samples, with_laid
-from hydrojax.identify.discovery.search import Curve, Search, above_noise
+from hydrojax.identify.discovery.search import above_noise
 from hydrojax.identify.discovery.smooth import band, covariance
+from hydrojax.identify.discovery.with_curves import Curve, Search
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.preparation.noise import CHANNELS
-from hydrojax.identify.results.curve import FoundCurve
+from hydrojax.identify.results.curve import FoundCurve, gaps_in
 from hydrojax.identify.results.outcome import excess_of
 from hydrojax.identify.tracing.screen import size_that_matters
 
@@ -57,7 +58,9 @@ def _shown(at, curve: Curve, columns, case: Case, fit, check) -> FoundCurve:
     smooth = replace(curve.smooth, c=c)
     matters = size_that_matters(state, state.noise)
     formula = formula_of(columns, smooth, knots, rug, term.size, matters)
-    law = FoundLaw(term, knots, c * term.size, seen, formula, case.spec.command_unit)
+    kept = np.quantile(rug, np.linspace(0.0, 1.0, RUG))
+    gaps, unit = gaps_in(seen, kept), case.spec.command_unit
+    law = FoundLaw(term, knots, c * term.size, seen, formula, unit, gaps)
     law_y = None
     if formula is not None:
         rows, onto = onto_splines(knots, rug)
@@ -78,7 +81,7 @@ def _shown(at, curve: Curve, columns, case: Case, fit, check) -> FoundCurve:
         y=B @ part @ c * term.size,
         std=std * term.size,
         seen=seen,
-        rug=np.quantile(rug, np.linspace(0.0, 1.0, RUG)),
+        rug=kept,
         p_value=curve.p_value,
         before=_by_channel(before, seen_channels),
         after=_by_channel(after, seen_channels),

@@ -12,6 +12,16 @@ GAP = 0.08
 of samples that lie evenly are as far apart."""
 
 
+def gaps_in(
+    seen: tuple[float, float], rug: Float[np.ndarray, "samples"]
+) -> tuple[tuple[float, float], ...]:
+    """Gaps of `GAP` between samples of a signal, in the range of it that was seen."""
+    rows = np.sort(np.concatenate([seen, rug]))
+    wide = np.diff(rows) > GAP * (seen[1] - seen[0])
+    ends = zip(rows[:-1][wide], rows[1:][wide], strict=True)
+    return tuple((float(a), float(b)) for a, b in ends)
+
+
 @dataclass(frozen=True)
 class FoundCurve:
     """A curve that stands for what no known effect explains; SI.
@@ -65,9 +75,7 @@ class FoundCurve:
         and gaps of `GAP` in it.
         """
         low, high = self.seen
-        rug = np.sort(np.concatenate([self.seen, self.rug]))
-        wide = np.diff(rug) > GAP * (high - low)
-        inside = zip(rug[:-1][wide], rug[1:][wide], strict=True)
+        inside = gaps_in(self.seen, self.rug)
         every = ((self.s[0], low), *inside, (high, self.s[-1]))
         return tuple((float(a), float(b)) for a, b in every if a < b)
 

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hydrojax.effects import EFFECTS
+from hydrojax import effect
+from hydrojax.effects import EFFECTS, Array, LevelEffect, param
 from hydrojax.errors import InputError
 from hydrojax.export.codegen.machine import Machine
 from hydrojax.export.firmware import text_of
@@ -128,6 +129,37 @@ def every(spec, tmp_path_factory):
 )
 def test_the_plant_in_c_is_the_plant_of_the_simulator(every, case):
     assert max(compare(*every, case)) < WITHIN
+
+
+def test_an_effect_of_ones_own_that_asks_for_turns_has_its_form_in_c(
+    spec, tmp_path, vocabulary
+):
+    """`since`, `way` and `ages`, over turns of the piston and a rest."""
+
+    @effect
+    class Remembering(LevelEffect):
+        """A level over all that is remembered of turns."""
+
+        name = "remembering"
+        residual_axis = "x"
+        of_turns = True
+        a: Array = param("N", 0.0, -1e3, 1e3, "level", strength=True, size=50.0)
+
+        def level(self, at, base):
+            old = sum(jnp.exp(-age) for age in at.ages)
+            return self.a * (jnp.exp(-at.since / 0.01) + jnp.exp(-at.way / 1e-4) + old)
+
+    own = driven_rig(replace(spec, effects={"remembering": {}}))
+    machine = plant_machine(own)
+    files = text_of("plant", "The plant", "", own.spec, machine)
+    native = Native("plant", files, tmp_path)
+    cases = [("remembering",), ()]
+    parameters, inputs = random_rigs(machine, own.rig, cases), course(machine)
+    inputs["v"] = np.where(np.arange(TICKS) > 30, 0.0, 0.5 * np.cos(314 * inputs["t"]))
+    inputs["a"] = 0 * inputs["v"]
+    found = by_jax(machine, parameters, inputs)
+    assert max(compare(machine, native, parameters, inputs, found, 0)) < WITHIN
+    assert np.max(np.abs(found[2][0] - found[2][1])[:, -1]) > 1.0
 
 
 def test_every_effect_acts_in_c(every):

@@ -208,6 +208,7 @@ def test_a_curve_with_hysteresis_is_an_effect_that_slides(tmp_path, vocabulary):
     ("term", "at", "times"),
     [
         ("free_level_since", {"since": 0.3}, 1.0),
+        ("free_level_age_1000um", {"ages": (0.9, 0.3, 0.1)}, 1.0),
         ("free_level_per_P_mean_x", {"x": 0.3, "P_a1": 2e6, "P_a2": 6e6}, 4e6),
         ("free_friction_per_v_t", {"t": 0.3, "v": -0.02}, -0.02),
     ],
@@ -222,7 +223,73 @@ def test_a_curve_times_another_signal_and_one_with_a_memory_are_effects(
            else effect.force(sliding(**at)))  # fmt: skip
     want = BSpline(made.knots, made.coefficients, 3)(0.3)
     np.testing.assert_allclose(got, 2 * times * want, rtol=1e-5)
-    assert effect.of_turns == (term == "free_level_since")
+    remembered = term in ("free_level_since", "free_level_age_1000um")
+    assert effect.of_turns == remembered
+
+
+COMMANDS = (0.0, 0.3, 0.9, 0.9, 0.75, 0.2, -0.4, -0.35)
+
+
+def went_back(us, reach):
+    """How far each command went back since it turned."""
+    w, out = 0.0, []
+    for before, u in zip(us[:1] + us[:-1], us, strict=True):
+        w = min(max(w + u - before, -reach), reach)
+        out.append(w)
+    return out
+
+
+def lay_behind(us, tau, h):
+    """By how much a lag is behind each held command, in the mean of its tick."""
+    y, out = us[0], []
+    for u in us:
+        part = y + (u - y) * -np.expm1(-np.linspace(0, h, 20001) / tau)
+        out.append(np.mean(part) - u)
+        y = part[-1]
+    return out
+
+
+@pytest.mark.parametrize("kind", ["written", "searched"])
+@pytest.mark.parametrize(
+    ("term", "signal"),
+    [
+        ("free_command_back_300m", went_back(COMMANDS, 0.3)),
+        ("free_command_behind_3ms", lay_behind(COMMANDS, 3e-3, 1e-3)),
+    ],
+)
+def test_a_curve_of_what_the_command_did_is_a_channel(
+    kind, term, signal, tmp_path, vocabulary
+):
+    """As it is searched and as it is written: by loops of plain Python."""
+    span = np.linspace(-1.0, 1.0, 301)
+    made = replace(law("free_level_v"), term=TERM[term], knots=knots_over(span, 14))
+    if kind == "written":
+        effect = written(tmp_path, found(made, "none"))(amount=2.0)
+    else:
+        c = 2 * made.coefficients / made.term.size
+        effect = made.term.laid(made.knots)
+        effect = replace(effect, **{f"c_{i}": np.float64(v) for i, v in enumerate(c)})
+    memory, got = effect.init(np.float64(COMMANDS[0])), []
+    for u in COMMANDS:
+        memory, out = effect.step(memory, np.float64(u), 1e-3)
+        got.append(float(out) - u)
+    want = 2 * BSpline(made.knots, made.coefficients, 3)(signal)
+    np.testing.assert_allclose(got, want, atol=2e-4 * np.ptp(want))
+
+
+def test_a_written_effect_says_where_it_is_a_guess(tmp_path, vocabulary):
+    gaps = ((-0.01, -0.005), (2e-3, 6e-3))
+    says = {}
+    for name, own in (("even", ()), ("gaps", gaps)):
+        made = replace(law("free_level_v", bell()), gaps=own)
+        text = effect_source(made, "free_level_v")
+        assert max(map(len, text.splitlines())) <= 88
+        says[name] = " ".join(text.split())
+    both = "from -0.01 to -0.005 m/s, from 0.002 to 0.006 m/s."
+    assert f"Without samples, and a guess, {both}" in says["gaps"]
+    assert "Without samples" not in says["even"]
+    for said in says.values():
+        assert "It rests on v from -0.02 to 0.02 m/s; beyond that it is" in said
 
 
 def test_a_leak_along_the_stroke_is_an_effect(tmp_path, vocabulary):
