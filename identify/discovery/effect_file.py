@@ -40,6 +40,7 @@ SIGNALS = {
     "back": "w",
     "behind": "behind",
     "w": "w",
+    "level": "base",
     "P": "P",
     "P_mean": "(at.P_a1 + at.P_a2) / 2",
     "P_net": "at.P_a2 - at.P_a1",
@@ -112,7 +113,8 @@ class FoundLaw:
             if f.shape is not None:
                 text = text.replace("s_0", f"{f.shape:.4g} {self.signal_unit}")
             unit = over(self.unit, self.signal_unit, power)
-            parts.append(f"{a:.4g} {unit}{by} * {text}")
+            unit = "" if unit == "1" else f" {unit}"
+            parts.append(f"{a:.4g}{unit}{by} * {text}")
         return " + ".join(parts).replace("+ -", "- ")
 
 

@@ -8,7 +8,7 @@ knots are arrays: one compiled program serves every signal of a place.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -33,7 +33,7 @@ from hydrojax.plant.turned import AGES
 COUNT = 14
 """Coefficients of a curve."""
 
-SIGNALS = 12
+SIGNALS = 13
 """How many signals a place has at most."""
 
 
@@ -93,23 +93,23 @@ class _OnPiston(FreeForm):
 
     of_turns = False
 
-    def at(self, at: Any) -> Array:
+    def at(self, at: Any, *more: Array) -> Array:
         difference = at.P_a2 - at.P_a1
         mean = (at.P_a1 + at.P_a2) / 2
         seen = (at.v, at.x, at.a, mean, difference, at.t, at.z)
         past = (at.since, at.way, *at.ages) if self.of_turns else ()
-        return self.along((*seen, *past))
+        return self.along((*seen, *past, *more))
 
 
 class FreeLevel(_OnPiston, LevelEffect):
-    """A curve added to the Coulomb level."""
+    """A curve added to the Coulomb level, or times the level as it is without."""
 
     name = "free_level"
     of_turns = True
 
     def level(self, at, base):
         """The curve as a level, N."""
-        return self.at(at)
+        return self.at(at, base)
 
 
 class FreeFriction(_OnPiston, FrictionForce):
@@ -315,6 +315,12 @@ def _piston(
     return [
         Term(form, n, order.index(n), PISTON[n], of, size, factor, times) for n in names
     ]
+
+
+def share_of_level(term: Term) -> Term:
+    """The term of a level as a share of the Coulomb level, of either direction."""
+    times = len(PISTON) + 1
+    return replace(term, of="1", size=0.1, factor="level", times=times)
 
 
 SLIPS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)

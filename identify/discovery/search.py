@@ -11,6 +11,7 @@ from scipy import stats
 
 from hydrojax.identify.discovery.free_form import (
     FORMS,
+    FreeLevel,
 )
 from hydrojax.identify.discovery.laid import Laid
 from hydrojax.identify.discovery.smooth import Columns, Smooth, directions, smoothed
@@ -18,6 +19,7 @@ from hydrojax.identify.discovery.with_curves import (
     Search,
     columns_of,
     fitted,
+    of_the_level,
     refitted,
     relaid,
 )
@@ -32,9 +34,6 @@ from hydrojax.identify.tracing.score import (
 from hydrojax.identify.tracing.screen import size_that_matters
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.plant.places import PLACES
-
-RELAID = 2
-"""How often a fit goes on from knots that were drawn anew, at most."""
 
 
 def search(begun: Search, every: Sequence[Laid]) -> Search:
@@ -164,16 +163,19 @@ def _round(at: Search, every: Sequence[Laid], noise: np.ndarray) -> Search:
 
 
 def sharpened(at: Search, noise: Float[np.ndarray, "3"]) -> Search:
-    """The last curve over other knots, as long as these help and more is left."""
-    for _ in range(RELAID):
+    """The last curve as a share of the Coulomb level, where it is one of that, and over
+    other knots: each where that helps and more is left.
+    """
+    term = at.curves[-1].laid.term
+    share = term.form is FreeLevel and not term.factor
+    for other in (of_the_level, relaid) if share else (relaid,):
         if at_noise(at.state, noise):
             break
-        there = relaid(at, noise)
-        before, after = at.curves[-1].after, there.curves[-1].after
-        by = may_rise(there.state, [there.curves[-1].laid.effect], noise)
-        verdict = judge(there.state, before, after, noise, by)
-        at.state.progress(f"over other knots: {verdict}")
-        if verdict != "helps":
-            break
-        at = there
+        there = other(at, noise)
+        one, now = at.curves[-1], there.curves[-1]
+        by = may_rise(there.state, [now.laid.effect], noise)
+        verdict = judge(there.state, one.after, now.after, noise, by)
+        at.state.progress(f"{now.laid.term.name} {other.__name__}: {verdict}")
+        if verdict == "helps":
+            at = there
     return at

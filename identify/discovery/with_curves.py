@@ -10,11 +10,11 @@ from jaxtyping import Float
 from scipy.interpolate import BSpline
 
 from hydrojax.effects.splines import DEGREE, bspline
-from hydrojax.identify.discovery.free_form import coefficients
+from hydrojax.identify.discovery.free_form import coefficients, share_of_level
 from hydrojax.identify.discovery.laid import Laid, with_laid
 from hydrojax.identify.discovery.smooth import Columns, Smooth, smoothed
 from hydrojax.identify.estimation.fit import fit_jointly, fit_pressures
-from hydrojax.identify.estimation.known import Known
+from hydrojax.identify.estimation.known import COULOMB, Known
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.state import Tracing
@@ -153,6 +153,27 @@ def relaid(at: Search, noise: Float[np.ndarray, "3"]) -> Search:
         knots, c = drawn, smooth.c
     assert best is not None
     return _settled(at, tuple(others), best, noise)
+
+
+def of_the_level(at: Search, noise: Float[np.ndarray, "3"]) -> Search:
+    """The same with the last curve as a share of the Coulomb level: what changes a
+    friction changes it in either direction, and by as much where these have one level.
+    """
+    *others, curve = at.curves
+    state, laid, smooth = at.state, curve.laid, curve.smooth
+    names = state.problem.model.names
+    level = np.mean([state.point.values[names.index(n)] for n in COULOMB])
+    term = share_of_level(laid.term)
+    ratio = laid.term.size / (max(level, 1.0) * term.size)
+    own = [names.index(n) for n in coefficients(laid.effect)]
+    smooth = replace(
+        smooth,
+        c=ratio * state.point.values[own],
+        penalty=smooth.penalty / ratio**2,
+        rough=smooth.rough / ratio**2,
+    )
+    laid = Laid(term, term.laid(np.asarray(laid.effect.knots)))
+    return _settled(at, tuple(others), replace(curve, laid=laid, smooth=smooth), noise)
 
 
 def _placed(at: Search, one: Laid, c: Float[np.ndarray, "n"]) -> Search:

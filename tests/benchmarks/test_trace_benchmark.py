@@ -18,8 +18,10 @@ from benchmarks.trace import (
     tracing,
 )
 from benchmarks.trace.baselines import regressors, sparse, whiteness
-from benchmarks.trace.catalogue import ALL, NAMED, OUTSIDE
+from benchmarks.trace.catalogue import ALL, NAMED, OUTSIDE, UNNAMED
 from benchmarks.trace.hidden import Hidden
+from benchmarks.trace.truths import laws
+from benchmarks.trace.unnamed import Unnamed
 from benchmarks.trace.valve import Valve
 
 STEP = 5e-5
@@ -117,6 +119,54 @@ def test_flow_laws_have_their_closed_forms():
     assert gone == pytest.approx(c * math.sqrt(8.75e6 - loss * gone**2), rel=1e-6)
     scored = rates({"scored_bore": {"c_il": 1e-12, "width": 4e-3}}, shut)
     assert scored == pytest.approx(leak)  # in the middle
+
+
+def test_what_nothing_names_has_its_closed_form():
+    """Flows, levels, forces and readings, one law a lane, against curves of their own;
+    what remembers is moved there by steps.
+    """
+    names = [n for n in UNNAMED if n not in ("tapered_bore", "swollen_land")]
+    odd = Unnamed(Hidden([{n: ALL[n].scaled(1.0)} for n in names]), STEP)
+    lane, e, ones = names.index, ALL, np.ones(len(names))
+    P = np.array([9e6, 4e6])[:, None] * ones
+    q = odd.flow(0.0, P, 2.5e5 * ones, 6e-3 * ones, -0.01 * ones)
+    c = e["one_way_seal"].at_1["c"] * 5e6
+    assert q[:, lane("one_way_seal")] == pytest.approx([-c, c])
+    k = e["cracked_piston"].at_1["k"] * math.sqrt(5e6)
+    assert q[:, lane("cracked_piston")] == pytest.approx([-k, k])
+    k = e["weeping_rod"].at_1["k"] * math.sqrt(8.75e6)
+    assert q[:, lane("weeping_rod")] == pytest.approx([-k, 0.0])
+    assert q[:, lane("dragged_oil")] == pytest.approx(
+        [-1e-2 * ALL["dragged_oil"].at_1["k"]] * 2
+    )
+    for _ in range(4000):  # 0.2 s at 5 mm/s, the bristle on one side
+        odd.follow(4e-3 * ones, 5e-3 * ones, 6e-5 * ones, P)
+    level = odd.level(4e-3 * ones, 5e-3 * ones, P)
+    force = odd.force(1.0, 4e-3 * ones, 5e-3 * ones)
+    drag = odd.friction(1.0, 5e-3 * ones)
+    seen = {"x": 4e-3, "v": 5e-3, "P_net": -5e6, "since": 0.2, "t": 1.0,
+            "age_1000um": 1e-3 / 5e-3 * (1 - math.exp(-0.2 * 5e-3 / 1e-3)),
+            "w_300um": 3e-4}  # fmt: skip
+    read = odd.read(1.0, np.zeros((3, len(names))), 1e-3)
+    law = laws("warming_cell", e["warming_cell"].at_1, RIG)["free_force_t"]
+    assert read[2, lane("warming_cell")] == pytest.approx(law(np.float64(1.0)))
+    checked = []
+    for name in set(names) - {"warming_cell"}:
+        for term, law in laws(name, e[name].at_1, RIG).items():
+            place, signal = term.removeprefix("free_").split("_", 1)
+            times = 5e-3 if "per_v" in term else 1.0
+            signal = signal.removeprefix("per_v_")
+            if place in ("level", "friction", "force", "hysteresis") and signal in seen:
+                got = {"level": level, "friction": drag, "force": force}
+                own = -force if place == "hysteresis" else got[place]
+                want = times * law(np.float64(seen[signal]))
+                assert own[lane(name)] == pytest.approx(want, rel=2e-3), name
+                checked.append(name)
+    assert len(checked) > 10
+    soft = odd.soft(0.0, P, 1e-9)
+    for name in ("softening_hose", "gas_pocket"):
+        law = laws(name, e[name].at_1, RIG)["free_compliance_P"]
+        assert soft[:, lane(name)] - 1e-9 == pytest.approx(law(P[:, 0]))
 
 
 def test_spool_follows_its_step_response():

@@ -13,10 +13,12 @@ from scipy.signal import lfilter
 
 import hydrojax as hj
 from hydrojax.effects.splines import knots_over
+from hydrojax.effects.valve import ValveLag
 from hydrojax.identify.case import open_case
 from hydrojax.identify.discovery.discover import commanded, deflections
 from hydrojax.identify.discovery.formula import FORMS, formula_of
 from hydrojax.identify.discovery.free_form import FORMS as FREE_FORMS
+from hydrojax.identify.discovery.free_form import LAGS
 from hydrojax.identify.discovery.search import above_noise
 from hydrojax.identify.discovery.smooth import (
     Columns,
@@ -331,6 +333,29 @@ def test_what_the_command_did_is_sampled():
     for own, way in zip(found["behind_10ms"], u, strict=True):
         late = lfilter([0.0, 1 - keep], [1, -keep], way, zi=[way[0]])[0]
         np.testing.assert_allclose(own[1:], (late - way)[1:], atol=1e-9)
+
+
+@pytest.mark.parametrize("tau", LAGS)
+def test_a_lag_is_told_from_a_spool(tau):
+    """The nearest spool leaves a twentieth of what a lag does, or more: else the curve
+    over it would be `valve_lag` by another name.
+    """
+    rng, t, h = np.random.default_rng(4), np.arange(6000) * 1e-3, 1e-3
+    f = rng.uniform(0.3, 20.0, (30, 1))
+    u = np.sin(2 * np.pi * f * t + rng.uniform(0, 6.3, (30, 1))).sum(axis=0)
+    keep = np.exp(-h / tau)
+    ends = lfilter([0.0, 1 - keep], [1, -keep], u, zi=[u[0]])[0]
+    late = (ends - u) * (1 - keep) * tau / h
+
+    def spool(at):
+        one, memory = ValveLag(tau=at[0], zeta=at[1]), (u[0], 0.0)
+        return jax.lax.scan(lambda m, now: one.step(m, now, h), memory, u)[1]
+
+    grid = np.stack(np.meshgrid(tau * np.geomspace(0.25, 1.5, 20), [0.5, 0.8, 0.99]))
+    made = jax.vmap(spool)(grid.reshape(2, -1).T)
+    left = np.std((np.asarray(made) - u - late)[:, 1000:], axis=1)
+    assert np.min(left) > 0.05 * np.std(late[1000:])
+    assert np.min(left) < 0.5 * np.std(late[1000:])
 
 
 def test_knots_are_drawn_to_a_corner():
