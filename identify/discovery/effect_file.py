@@ -191,7 +191,8 @@ def _rests_on(law: FoundLaw) -> list[str]:
     def span(ends: tuple[float, float]) -> str:
         return "from {:.4g} to {:.4g} ".format(*ends) + unit
 
-    text = f"It rests on {law.term.signal} {span(law.seen)}; "
+    means = f", {law.term.means}," if law.term.means else ""
+    text = f"It rests on {law.term.signal}{means} {span(law.seen)}; "
     text += "beyond that it is extrapolated."
     if law.gaps:
         text += f" Without samples, and a guess, {', '.join(map(span, law.gaps))}."

@@ -256,6 +256,19 @@ class Term:
         return deflection_name(self.slip) if self.slip else self.signal
 
     @property
+    def means(self) -> str:
+        """What its signal is, where that has a memory; or ""."""
+        if self.signal.startswith("age_"):
+            return f"age of a contact that {self.signal[4:]} of way renew"
+        return {
+            "since": "time since friction turned",
+            "way": "way since friction turned",
+            "w": f"way since the piston turned, up to {self.slip:g} m either way",
+            "back": f"how far the command went back, up to {self.slip:g} either way",
+            "behind": f"how far a lag of {1e3 * self.tau:g} ms is behind the command",
+        }.get(self.signal, "")
+
+    @property
     def place(self) -> str:
         """Where it acts."""
         return self.form.place

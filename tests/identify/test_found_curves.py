@@ -27,7 +27,7 @@ from hydrojax.identify.discovery.effect_file import (
     over,
 )
 from hydrojax.identify.discovery.formula import FORMS, Formula
-from hydrojax.identify.discovery.free_form import TERMS
+from hydrojax.identify.discovery.free_form import TERMS, share_of_level
 from hydrojax.identify.report.write import plot, result_html, write_report
 from hydrojax.identify.result import Result
 from hydrojax.identify.results.curve import FoundCurve
@@ -227,6 +227,26 @@ def test_a_curve_times_another_signal_and_one_with_a_memory_are_effects(
     assert effect.of_turns == remembered
 
 
+def test_a_share_of_the_coulomb_level_is_an_effect(tmp_path, vocabulary):
+    """Of the level of its direction, as it is searched and as it is written."""
+    term = share_of_level(TERM["free_level_way"])
+    knots = knots_over(np.linspace(0.0, 1.0, 301), 14)
+    c = 0.1 * np.cos(np.arange(14.0))
+    effect = written(
+        tmp_path, found(FoundLaw(term, knots, c, (0.0, 1.0), None), "none")
+    )
+    assert effect.name == "free_level_per_level_way"
+    at, share = sliding(way=0.3, ages=(0.0,) * 3), BSpline(knots, c, 3)(0.3)
+    laid = replace(term.laid(knots), **{f"c_{i}": v / 0.1 for i, v in enumerate(c)})
+    for base in (700.0, 1400.0):
+        want = pytest.approx(base * share, rel=1e-5)
+        assert float(effect(amount=1.0).level(at, base)) == want
+        assert float(laid.level(at, base)) == want
+    wave = replace(bell(), amplitudes=(0.2,), shape=0.01)
+    made = FoundLaw(term, knots, c, (0.0, 1.0), wave)
+    assert made.says() == "0.2 * level * exp(-((way / 0.01 m) ** 2))"
+
+
 COMMANDS = (0.0, 0.3, 0.9, 0.9, 0.75, 0.2, -0.4, -0.35)
 
 
@@ -290,6 +310,9 @@ def test_a_written_effect_says_where_it_is_a_guess(tmp_path, vocabulary):
     assert "Without samples" not in says["even"]
     for said in says.values():
         assert "It rests on v from -0.02 to 0.02 m/s; beyond that it is" in said
+    text = effect_source(replace(made, term=TERM["free_command_behind_30ms"]), "late")
+    said = " ".join(text.split())
+    assert "on behind, how far a lag of 30 ms is behind the command, from -0.02" in said
 
 
 def test_a_leak_along_the_stroke_is_an_effect(tmp_path, vocabulary):
