@@ -22,6 +22,7 @@ from hydrojax.identify.discovery.with_curves import (
     of_the_level,
     refitted,
     relaid,
+    with_errors,
 )
 from hydrojax.identify.estimation.fit import only
 from hydrojax.identify.estimation.problem import PRESSURES
@@ -35,6 +36,9 @@ from hydrojax.identify.tracing.screen import size_that_matters
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.plant.places import PLACES
 
+ANEW = (relaid,) * 3
+"""How often the knots of a curve are drawn anew, each time from a better fit."""
+
 
 def search(begun: Search, every: Sequence[Laid]) -> Search:
     """Look for curves until none is left that matters: pressures first, then all."""
@@ -44,7 +48,9 @@ def search(begun: Search, every: Sequence[Laid]) -> Search:
         begun = _stage(begun, upstream, only(state.noise, PRESSURES))
     if np.isfinite(state.noise[2]):
         if begun.curves:
-            begun = refitted(begun, state.noise)
+            # A force shows of an upstream curve what the pressures do not.
+            begun = with_errors(refitted(begun, state.noise))
+            begun = sharpened(begun, state.noise)
         begun = _stage(begun, every, state.noise)
     state = begun.state
     weights = np.where(np.isfinite(state.noise), state.point.weights, np.inf)
@@ -168,7 +174,7 @@ def sharpened(at: Search, noise: Float[np.ndarray, "3"]) -> Search:
     """
     term = at.curves[-1].laid.term
     share = term.form is FreeLevel and not term.factor
-    for other in (of_the_level, relaid) if share else (relaid,):
+    for other in (of_the_level, *ANEW) if share else ANEW:
         if at_noise(at.state, noise):
             break
         there = other(at, noise)
@@ -178,4 +184,6 @@ def sharpened(at: Search, noise: Float[np.ndarray, "3"]) -> Search:
         at.state.progress(f"{now.laid.term.name} {other.__name__}: {verdict}")
         if verdict == "helps":
             at = there
+        elif other is relaid:
+            break
     return at

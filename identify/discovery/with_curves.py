@@ -220,8 +220,14 @@ def _settled(
             columns = columns_of(there, [one], weights)[one.term.name]
             curve = replace(curve, smooth=smoothed(columns))
             there = replace(there, curves=(*others, curve))
-    after = there.state.check.errors_at(there.state.point.values)
-    return replace(there, curves=(*others, replace(curve, after=after)))
+    return with_errors(there)
+
+
+def with_errors(at: Search) -> Search:
+    """The search with the validation errors after its last curve as they stand."""
+    *others, curve = at.curves
+    after = at.state.check.errors_at(at.state.point.values)
+    return replace(at, curves=(*others, replace(curve, after=after)))
 
 
 def refitted(at: Search, noise: Float[np.ndarray, "3"]) -> Search:

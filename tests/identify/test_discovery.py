@@ -459,3 +459,41 @@ def test_friction_that_settles_after_a_turn_is_found(recorded):
     assert curve.before["F"] > 1.5 * noise and curve.after["F"] < 1.1 * noise
     assert "exp(-abs(" in curve.law
     assert float(curve.law.split()[0]) == pytest.approx(most, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_linkage_that_springs_is_found_as_a_curve(recorded):
+    """Play of the command with a cubic law, put into the logs by plain Python: what is
+    logged is the command that it makes the recorded one of.
+    """
+    folder, reach, most = recorded(1), 0.1, 0.04
+    rig = hj.RigFile.load(folder / "rig.toml")
+
+    def sprung(name):
+        log = hj.Log.load(folder / name, rig.channels)
+        spool = log.signals["u"]
+        before, w, out = spool[0], 0.0, np.zeros(spool.size)
+
+        def went(u):
+            return min(max(w + u - before, -reach), reach)
+
+        for i, wanted in enumerate(spool):
+            low, high = wanted - 2 * most, wanted + 2 * most
+            for _ in range(50):
+                u = (low + high) / 2
+                above = u - most * (went(u) / reach) ** 3 > wanted
+                low, high = (low, u) if above else (u, high)
+            w, before, out[i] = went(u), u, u
+        return replace(log, signals=log.signals | {"u": out})
+
+    logs = [sprung(f"fit_{i}.csv") for i in (1, 2)]
+    result = hj.fit(rig, logs, validate=[sprung("validate.csv")])
+    discovered = hj.discover(result)
+    curve = discovered.curves[0]
+    assert curve.name == "free_command_back_100m"
+    off = np.interp(curve.rug, curve.s, curve.y) + most * (curve.rug / reach) ** 3
+    # A line of it is the valve's own gain, and its offset none's.
+    off -= np.polyval(np.polyfit(curve.rug, off, 1), curve.rug)
+    assert np.std(off) < 0.1 * most
+    for name, error in curve.after.items():
+        assert error < 1.2 * result.outcome.channels[name].noise
