@@ -148,7 +148,7 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
     turned = None
     if rig.asks_of_turns:
         moved = jnp.sum(dx.reshape(s, n, quarters), axis=-1)
-        turned = run_turned(z / rig.mechanics.z_ss, moved, motion.h)
+        turned = run_turned(z, moved, motion.h)
     return Past(z, speed, v, tuple(slips), turned)
 
 

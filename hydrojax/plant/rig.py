@@ -270,9 +270,9 @@ class Rig(eqx.Module):
                 keep, add = effect.follow(state.speed[..., 1], now, inputs.h)
                 films.append(keep * state.speed[..., 2 + i] + add)
             speed = jnp.stack([speed, *films], axis=-1)
-        turned = state.turned and state.turned.moved(
-            z / self.mechanics.z_ss, jnp.sum(dx, axis=-1), inputs.h
-        )
+        turned = state.turned
+        if turned:
+            turned = turned.moved(z, jnp.sum(dx, axis=-1), inputs.h)
         return state._replace(z=z, speed=speed, slips=slips, turned=turned)
 
     @property

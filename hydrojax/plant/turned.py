@@ -10,10 +10,6 @@ from jaxtyping import Array, Float
 
 from hydrojax.plant.friction import run_linear
 
-TURN = 0.1
-"""Share of its largest deflection to which the bristle must bend to the other side for
-friction to have turned: the noise of a coarse encoder at rest bends it by less."""
-
 AGES = (1e-4, 1e-3, 1e-2)
 """Ways (m) over which a contact is renewed: of asperities, and of seals that creep."""
 
@@ -21,8 +17,9 @@ AGES = (1e-4, 1e-3, 1e-2)
 class Turned(NamedTuple):
     """What is remembered of the last turn, and of the contact.
 
-    Friction turns where the bristle bends to the other side, which it does without a
-    jump of the force: a swing too small for that is no turn. `side` is the side to
+    Friction turns where the bristle bends to the other side, however far, which it does
+    without a jump of the force: a swing too small for that, and the noise of an encoder
+    at rest, are no turns. `side` is the side to
     which it bent last (1, -1, 0 before it did), `since` and `way` as in `Sliding`, and
     `ages` those (s) of the contact for each way `D` of `AGES`: at rest it ages by a
     second a second, and sliding renews it, `dA/dt = 1 - abs(v) A / D` (Dieterich's law
@@ -36,14 +33,14 @@ class Turned(NamedTuple):
 
     def moved(
         self,
-        bent: Float[Array, "*batch"],
+        z: Float[Array, "*batch"],
         dx: Float[Array, "*batch"],
         h: Float[Array, "*batch"],
     ) -> Turned:
         """The same after a tick of length `h` (s) that moves the piston by `dx` (m) and
-        leaves the bristle `bent` to that share of its largest deflection.
+        leaves the bristle at a deflection `z` (m).
         """
-        side = jnp.where(jnp.abs(bent) < TURN, self.side, jnp.sign(bent))
+        side = jnp.where(z == 0, self.side, jnp.sign(z))
         new = side != self.side
         since = jnp.where(new, 0.0, self.since + h)
         way = jnp.where(new, 0.0, self.way + jnp.abs(dx))
@@ -75,14 +72,14 @@ def _age_map(
 
 
 def run_turned(
-    bent: Float[Array, "segments n+1"],
+    z: Float[Array, "segments n+1"],
     dx: Float[Array, "segments n"],
     h: Float[Array, "segments n"],
 ) -> Turned:
     """`Turned` at the n+1 ticks of segments that begin at rest, [S, n+1] each.
 
-    `bent` is the bristle's deflection at the ticks over its largest; `dx` (m) and `h`
-    (s) are of the ticks between.
+    `z` is the bristle's deflection (m) at the ticks; `dx` (m) and `h` (s) are of the
+    ticks between.
     """
     start = jnp.zeros_like(dx[:, 0])
 
@@ -93,8 +90,7 @@ def run_turned(
         """The last tick up to each at which `here` was so; the first before it was."""
         return jax.lax.cummax(jnp.where(here, jnp.arange(here.shape[1]), 0), axis=1)
 
-    bends = jnp.where(jnp.abs(bent) < TURN, 0.0, jnp.sign(bent))
-    side = jnp.take_along_axis(bends, held_from(bends != 0), axis=1)
+    side = jnp.take_along_axis(jnp.sign(z), held_from(z != 0), axis=1)
     turn = held_from(jnp.diff(side, axis=1, prepend=0.0) != 0)
 
     def after(steps):

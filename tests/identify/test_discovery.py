@@ -267,12 +267,12 @@ def test_deflections_are_those_of_a_stop():
 
 
 def bent(x, z_ss=6e-5):
-    """The bristle over its largest deflection at the positions, step by step."""
+    """The bristle's deflection at the positions, step by step."""
     z, out = 0.0, [0.0]
     for dx in np.diff(x):
         end = z_ss * np.sign(dx)
         z = end + (z - end) * np.exp(-abs(dx) / z_ss)
-        out.append(z / z_ss)
+        out.append(z)
     return np.array(out)[None]
 
 
@@ -290,9 +290,9 @@ def test_turns_are_seen():
     np.testing.assert_allclose(np.asarray(seen.since)[0, at], since[at], atol=0.04)
     way = 2e-3 * (1 - np.cos(2 * np.pi * since))
     np.testing.assert_allclose(np.asarray(seen.way)[0, at], way[at], atol=1e-4)
-    rest = 4e-6 * (np.arange(400) % 2)
+    rest = 1e-3 + 4e-6 * (np.arange(300) % 2)
     back = 1e-3 - 2e-5 * np.sin(np.linspace(0, np.pi, 300))
-    for y in (rest, np.r_[np.linspace(0, 1e-3, 100), back]):
+    for y in (np.r_[np.linspace(0, 1e-3, 100), end] for end in (rest, back)):
         still = run_turned(bent(y), np.diff(y)[None], np.full((1, 399), 1e-3))
         after = np.asarray(still.since)[0, 20:]
         np.testing.assert_allclose(np.diff(after), 1e-3)
@@ -424,7 +424,7 @@ def test_a_hysteretic_tether_is_found_as_a_curve(recorded):
 
 @pytest.mark.slow
 def test_friction_that_settles_after_a_turn_is_found(recorded):
-    """A level that falls with the time since the piston turned, put into the logs by
+    """A level that falls with the time since friction turned, put into the logs by
     plain NumPy where it slides.
     """
     folder, most, tau = recorded(1), 60.0, 0.5
@@ -434,16 +434,13 @@ def test_friction_that_settles_after_a_turn_is_found(recorded):
     def settling(name):
         log = hj.Log.load(folder / name, rig.channels)
         x, t = log.signals["psi"] * rig.geometry["radius"], log.time
-        sign, since, back, z, speed = 1.0, 0.0, x[0], 0.0, 0.0
+        since, z, speed = 0.0, 0.0, 0.0
         out = np.zeros(x.size)
         for i in range(1, x.size):
             h, dx = t[i] - t[i - 1], x[i] - x[i - 1]
-            since += h
-            back = max(back, x[i]) if sign > 0 else min(back, x[i])
-            if sign * (back - x[i]) > 2e-5:
-                sign, since, back = -sign, 0.0, x[i]
-            end = z_ss * np.sign(dx)
+            end, before = z_ss * np.sign(dx), z
             z = end + (z - end) * np.exp(-abs(dx) / z_ss)
+            since = 0.0 if z * before < 0 else since + h
             speed += (abs(dx) / h - speed) * -np.expm1(-10.0 * h)
             slides = 1 - 1 / (1 + (300.0 * speed) ** 3)
             out[i] = slides * z / z_ss * most * np.exp(-since / tau)
