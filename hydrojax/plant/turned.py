@@ -18,8 +18,9 @@ class Turned(NamedTuple):
     """What is remembered of the last turn, and of the contact.
 
     Friction turns where the bristle bends to the other side, however far, which it does
-    without a jump of the force: a swing too small for that, and the noise of an encoder
-    at rest, are no turns. `side` is the side to
+    without a jump of the force: a swing too small for that is no turn. Noise at rest
+    that is larger than a fine encoder's works the bristle to its middle: it turns then,
+    where it holds nothing. `side` is the side to
     which it bent last (1, -1, 0 before it did), `since` and `way` as in `Sliding`, and
     `ages` those (s) of the contact for each way `D` of `AGES`: at rest it ages by a
     second a second, and sliding renews it, `dA/dt = 1 - abs(v) A / D` (Dieterich's law

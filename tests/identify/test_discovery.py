@@ -278,7 +278,7 @@ def bent(x, z_ss=6e-5):
 
 def test_turns_are_seen():
     """At a swing's ends, but for the way by which it must have come back; a swing that
-    does not bend the bristle to the other side, and noise of a coarse encoder at rest,
+    does not bend the bristle to the other side, and noise of a fine encoder at rest,
     are no turns.
     """
     t = np.arange(4001) * 1e-3
@@ -290,7 +290,7 @@ def test_turns_are_seen():
     np.testing.assert_allclose(np.asarray(seen.since)[0, at], since[at], atol=0.04)
     way = 2e-3 * (1 - np.cos(2 * np.pi * since))
     np.testing.assert_allclose(np.asarray(seen.way)[0, at], way[at], atol=1e-4)
-    rest = 1e-3 + 4e-6 * (np.arange(300) % 2)
+    rest = 1e-3 + 4e-7 * (np.arange(300) % 2)
     back = 1e-3 - 2e-5 * np.sin(np.linspace(0, np.pi, 300))
     for y in (np.r_[np.linspace(0, 1e-3, 100), end] for end in (rest, back)):
         still = run_turned(bent(y), np.diff(y)[None], np.full((1, 399), 1e-3))
