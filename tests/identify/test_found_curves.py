@@ -237,7 +237,9 @@ def test_a_share_of_the_coulomb_level_is_an_effect(tmp_path, vocabulary):
     )
     assert effect.name == "free_level_per_level_way"
     at, share = sliding(way=0.3, ages=(0.0,) * 3), BSpline(knots, c, 3)(0.3)
-    laid = replace(term.laid(knots), **{f"c_{i}": v / 0.1 for i, v in enumerate(c)})
+    laid: Any = replace(
+        term.laid(knots), **{f"c_{i}": v / 0.1 for i, v in enumerate(c)}
+    )
     for base in (700.0, 1400.0):
         want = pytest.approx(base * share, rel=1e-5)
         assert float(effect(amount=1.0).level(at, base)) == want
@@ -283,6 +285,7 @@ def test_a_curve_of_what_the_command_did_is_a_channel(
     """As it is searched and as it is written: by loops of plain Python."""
     span = np.linspace(-1.0, 1.0, 301)
     made = replace(law("free_level_v"), term=TERM[term], knots=knots_over(span, 14))
+    effect: Any
     if kind == "written":
         effect = written(tmp_path, found(made, "none"))(amount=2.0)
     else:
