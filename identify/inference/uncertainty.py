@@ -56,22 +56,7 @@ def estimate_uncertainty(
     """
     names = problem.model.names
     gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
-    inside: list[str] = []
-    ends: dict[str, str] = {}
-    shown = np.sqrt(np.sum(gram, axis=0).diagonal()[[names.index(n) for n in free]])
-    shown = shown >= problem.criteria.hardly_shown * np.max(shown, initial=0.0)
-    unseen = {n for n, seen in zip(free, shown, strict=True) if not seen}
-    for name in free:
-        value, f = point.values[names.index(name)], problem.free[name]
-        slack = 1e-9 * max(abs(f.lower), abs(f.upper))
-        if name in unseen:  # where nothing holds it says nothing, an end or not
-            inside.append(name)
-        elif value <= f.lower + slack:
-            ends[name] = "lower"
-        elif value >= f.upper - slack:
-            ends[name] = "upper"
-        else:
-            inside.append(name)
+    inside, ends, unseen = _sorted(problem, point, free, gram)
     columns = np.array([names.index(n) for n in inside], dtype=int)
     at = [list(free).index(n) for n in inside]
     pull = np.zeros((len(at), len(at))) if pull is None else pull[np.ix_(at, at)]
@@ -103,6 +88,35 @@ def estimate_uncertainty(
         tuple(inside),
         covariance * np.outer(scale, scale),
     )
+
+
+def _sorted(
+    problem: Problem,
+    point: FitPoint,
+    free: Sequence[str],
+    gram: Float[np.ndarray, "windows rows rows"],
+) -> tuple[list[str], dict[str, str], set[str]]:
+    """Parameters inside their ranges; those at an end, with which; and those that the
+    logs hardly show, which are inside wherever they stand.
+    """
+    names = problem.model.names
+    inside: list[str] = []
+    ends: dict[str, str] = {}
+    shown = np.sqrt(np.sum(gram, axis=0).diagonal()[[names.index(n) for n in free]])
+    shown = shown >= problem.criteria.hardly_shown * np.max(shown, initial=0.0)
+    unseen = {n for n, seen in zip(free, shown, strict=True) if not seen}
+    for name in free:
+        value, f = point.values[names.index(name)], problem.free[name]
+        slack = 1e-9 * max(abs(f.lower), abs(f.upper))
+        if name in unseen:  # where nothing holds it says nothing, an end or not
+            inside.append(name)
+        elif value <= f.lower + slack:
+            ends[name] = "lower"
+        elif value >= f.upper - slack:
+            ends[name] = "upper"
+        else:
+            inside.append(name)
+    return inside, ends, unseen
 
 
 def curvature(
