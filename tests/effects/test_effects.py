@@ -697,6 +697,7 @@ def full(rig):
     }
     # Half open at these pressures, ahead of lines that these small chambers can hold.
     new["counterbalance.P_set"] = 1.9e7
+    new["counterbalance.dP_full"] = 5e6  # wholly open at times
     new["counterbalance.V_line"] = 2e-5
     new["counterbalance.check_loss"] = 0.2
     new |= REACHED
