@@ -17,14 +17,13 @@ AGES = (1e-4, 1e-3, 1e-2)
 class Turned(NamedTuple):
     """What is remembered of the last turn, and of the contact.
 
-    Friction turns where the bristle bends to the other side, however far, which it does
-    without a jump of the force: a swing too small for that is no turn. Noise at rest
-    that is larger than a fine encoder's works the bristle to its middle: it turns then,
-    where it holds nothing. `side` is the side to
-    which it bent last (1, -1, 0 before it did), `since` and `way` as in `Sliding`, and
-    `ages` those (s) of the contact for each way `D` of `AGES`: at rest it ages by a
-    second a second, and sliding renews it, `dA/dt = 1 - abs(v) A / D` (Dieterich's law
-    of friction by rate and state; Ruina, 1983).
+    Friction turns where the bristle passes its middle, where it holds nothing: the
+    force does not jump there. A swing that does not bend the bristle to the other side
+    is no turn, nor is a fine encoder's noise at rest; a coarse one's may be.
+    `side` is the side to which it bent last (1, -1, 0 before it did), `since` and `way`
+    as in `Sliding`, and `ages` those (s) of the contact for each way `D` of `AGES`: at
+    rest it ages by a second a second, and sliding renews it, `dA/dt = 1 - abs(v) A / D`
+    (Dieterich's law of friction by rate and state; Ruina, 1983).
     """
 
     side: Float[Array, "*batch"]

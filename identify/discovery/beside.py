@@ -32,7 +32,6 @@ def parameters_beside(at: Search, case: Case) -> dict[str, Parameter]:
     as much is taken to be hidden in what is fitted, in all of its directions alike.
     """
     state = at.state
-    curves = {n for c in at.curves for n in coefficients(c.laid.effect)}
     known = known_of(state.problem, at.curves, state.free)
     state = replace(state, problem=replace(state.problem, known=known))
     uncertainty = estimate_uncertainty(
@@ -41,7 +40,7 @@ def parameters_beside(at: Search, case: Case) -> dict[str, Parameter]:
     uncertainty = with_tolerances(uncertainty, case, state)
     out = {}
     for name, spec in parameter_specs(state.problem.model.rig).items():
-        if name in state.free and name not in curves:
+        if name in state.free and name not in at.coefficients:
             shown, p = parameter_of(name, case, state, uncertainty, spec)
             effect = name.rpartition(".")[0]
             out[f"{effect}.{shown}" if effect else shown] = p
@@ -62,6 +61,10 @@ def _pulls(at: Search) -> Float[np.ndarray, "free free"]:
     inflation = max(at.columns[c.laid.term.name].inflation for c in at.curves)
     left = above_noise(state, inflation, BEYOND)
     out = left / len(free) * H
+    others = [n for n in free if n not in at.coefficients]
+    priors = known_of(state.problem, (), others)
+    held = [free.index(n) for n in priors.names]
+    out[np.ix_(held, held)] += priors.curvature
     for curve in at.curves:
         own = coefficients(curve.laid.effect)
         mine = [free.index(n) for n in own]

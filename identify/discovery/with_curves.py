@@ -56,6 +56,11 @@ class Search:
         """Places that have a curve."""
         return {c.laid.term.place for c in self.curves}
 
+    @property
+    def coefficients(self) -> set[str]:
+        """Names of what the curves are made of."""
+        return {n for c in self.curves for n in coefficients(c.laid.effect)}
+
 
 def columns_of(
     at: Search, laid: Sequence[Laid], weights: Float[np.ndarray, "3"]

@@ -51,8 +51,9 @@ def estimate_uncertainty(
 
     The covariance is `H^-1 (sum of s s^T) H^-1` over windows as clusters (s a window's
     score), so it holds when residuals are correlated inside a window or above the
-    noise; times W/(W - k) for the fitted parameters. Priors count in H. `pull` is the
-    covariance of gradients, in units of the scales, that draw all windows alike.
+    noise; times W/(W - k) for the fitted parameters. Priors count in H and in what is
+    summed, as measurements. `pull` is the covariance of gradients, in units of the
+    scales, that draw all windows alike, and has that of `problem.known`, if any.
     """
     names = problem.model.names
     gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
