@@ -42,7 +42,8 @@ class _Search(NamedTuple):
     Attributes:
         problem: on a few windows.
         evaluate: the sum of squares that rates them.
-        here: that of the model as it stands, once its own parameters follow.
+        here: that of the model without them, once its own parameters follow: the least
+            from where they are and from their starts, as effects are tried from both.
         effects: with the strengths from which each is tried, by effect.
         begin: values that all else has then.
         steps: of the fits that follow, at most.
@@ -177,9 +178,21 @@ def _balances(
         return None
 
     evaluate = partial(balance_at, few)
-    at = evaluate(state.point.values, state.free)
-    here = descend(few, evaluate, at, state.free, steps).left
-    return _Search(few, evaluate, here, upstream, _bases(state), steps)
+    bases = _bases(state)
+    here = min(f.left for f in _own(state, few, evaluate, bases, steps))
+    return _Search(few, evaluate, here, upstream, bases, steps)
+
+
+def _own(
+    state: Tracing,
+    few: Problem,
+    evaluate: Evaluate,
+    bases: Sequence[Values],
+    steps: int,
+) -> list[Linear]:
+    """Fits of what is free already, a few steps from each of some bases."""
+    free = state.free
+    return [descend(few, evaluate, evaluate(base, free), free, steps) for base in bases]
 
 
 def _replays(
@@ -241,8 +254,10 @@ def _by_replays(
         gram = few.evaluate(values, tuple(free), slots, batch).gram
         return Linear.of(few, values, columns, np.sum(gram, axis=0))
 
-    here = evaluate(state.point.values, state.free).predicted(few)
-    return _Search(few, evaluate, here, grids, _bases(state), own.far_steps)
+    here, back = bases = _bases(state)
+    left = evaluate(here, state.free).predicted(few)
+    (other,) = _own(state, few, evaluate, [back], own.far_steps)
+    return _Search(few, evaluate, min(left, other.left), grids, bases, own.far_steps)
 
 
 def _bases(state: Tracing) -> tuple[Values, Values]:

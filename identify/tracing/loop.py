@@ -9,6 +9,7 @@ from math import comb
 
 import numpy as np
 
+from hydrojax.identify.estimation.columns import HANDFUL, thinned
 from hydrojax.identify.estimation.fit import FitPoint, fit_force, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.afar import together
@@ -60,13 +61,13 @@ def search_effects(state: Tracing) -> Tracing:
 def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
     """Effects one by one, until none is left that helps, nor does better than one that
     was added while others were still missing. Several at once take the place of the
-    first two.
+    first.
     """
     begun, rounds = state, state.criteria.rounds
     for left in reversed(range(rounds + 1)):
         more = _scored_round(state, effects, noise) if left else state
         added = len(more.added) > len(state.added)
-        if left == rounds - 1 or (left == rounds and not added):
+        if left == rounds:
             several = _or_several(begun, more, effects, noise)
             if several is not more:
                 # Each was chosen before the others were there.
@@ -152,12 +153,15 @@ def _several(
 
 def _in_steps(state: Tracing, begun: Tracing, noise: np.ndarray) -> Tracing:
     """The state with the errors before and after each of the effects that it has and
-    `begun` has not: of fits without those that were added after it.
+    `begun` has not: of fits without those that were added after it, to some of the
+    windows, for nothing is decided by them.
     """
     known = {a.name for a in begun.added}
     old = [a for a in state.added if a.name in known]
     new = [a for a in state.added if a.name not in known]
-    less, errors = state, [_errors(state)] if new else []
+    some = thinned(state.problem.batch, 2 * HANDFUL)  # fewer want programs of their own
+    less = replace(state, problem=replace(state.problem, batch=some))
+    errors = [_errors(state)] if new else []
     for a in reversed(new[1:]):
         less = without(less, a.name, noise)
         errors.append(_errors(less))

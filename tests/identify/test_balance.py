@@ -29,6 +29,7 @@ from hydrojax.identify.estimation.memory import recalled
 from hydrojax.identify.estimation.misfit import run_sums
 from hydrojax.identify.estimation.pieces import Span
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.estimation.starts import placed
 from hydrojax.identify.preparation import data as preparation
 from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs
@@ -282,3 +283,22 @@ def test_the_errors_of_effects_found_at_once_are_of_fits_one_after_the_other():
     np.testing.assert_allclose(added[-1].after, last)
     # A fit with one of them may leave more, as it begins where the balances put it.
     assert np.all((last < 0.5 * rms)[:2])
+
+
+@pytest.mark.slow
+def test_an_effect_is_not_credited_with_what_own_parameters_do(machine):
+    """Where those stand far off, and only their starts lead back: effects are tried
+    from there too, and one that is not there would seem to do it.
+    """
+    state, name = machine[1], "internal_leakage"
+    problem, free = state.problem, state.free
+    far = placed(problem, state.point.values, {n: problem.free[n].lower for n in free})
+    state = replace(state, point=replace(state.point, values=far))
+    few = in_brief(problem)
+    there = balance_at(few, far, free)
+    search = _balances(state, {name: state.effects[name]}, 1)
+    assert search is not None
+    left = min(f.left for f in _found(state, search.effects, search)[name])
+    once = descend(few, search.evaluate, there, free, 1).left
+    assert left < 0.5 * once
+    assert left > 0.8 * search.here
