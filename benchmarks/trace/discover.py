@@ -213,6 +213,10 @@ def main(
         bool,
         typer.Option(help="fit the declared model alone before effects outside"),
     ] = False,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="run only this case (repeat the option)"),
+    ] = None,
     cache: Annotated[
         Path | None, typer.Option(help="folder for compiled programs")
     ] = None,
@@ -222,6 +226,9 @@ def main(
 
     set_up_jax(cache)
     specs = plan(outside, withheld, nothing)
+    if missing := sorted({*(only or ())} - {s.name for s in specs}):
+        raise typer.BadParameter(f"no such case: {missing[0]}", param_hint="--only")
+    specs = [s for s in specs if not only or s.name in only]
     results = folder / "discover.jsonl"
     known = {row["case"] for row in read_results(results)} if results.exists() else ()
     new = [s for s in specs if not (folder / s.name / "truth.json").exists()]

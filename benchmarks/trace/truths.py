@@ -39,14 +39,25 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray, E], np.ndarray]]] = {
 }
 """Levels that are a share of the Coulomb level: the signal, and the share."""
 
+VALVE: dict[str, dict[str, Callable[[np.ndarray, E], np.ndarray]]] = {
+    "drifting_null": {"head_t": lambda t, e: -e["u_0"] * np.expm1(-t / e["tau"])},
+    "pressure_null": {"head_P_s": lambda P, e: e["u_0"] * (P / 14e6 - 1)},
+    "warming_valve": {"through_t": lambda t, e: -e["a"] * np.expm1(-t / e["tau"])},
+}
+"""Flows that are the valve's own, of a spool elsewhere or an edge of another size: over
+the mean of the edges' coefficients.
+"""
+
 CURVES: dict[str, dict[str, Callable[[np.ndarray, E], np.ndarray]]] = {
     "stribeck": {"level_v": lambda v, e: e["k_st"] * _bell(v, e["v_s"])},
+    "one_way_stribeck": {"level_v": lambda v, e: e["f"] * _bell(v, e["v_s"]) * (v > 0)},
     "viscous_friction": {
         "friction_v": lambda v, e: e["b"] * v,
         "level_v": lambda v, e: e["b"] * np.abs(v),
     },
     "pressure_friction": {"level_P_mean": lambda P, e: e["kappa"] * P},
     "wiper_pressure": {"level_P_net": lambda P, e: e["kappa"] * np.abs(P)},
+    "lip_seal": {"level_P_a1": lambda P, e: e["kappa"] * P},
     "rusty_patch": {
         "level_x": lambda x, e: e["f"] * (1 + np.tanh((x - e["x_from"]) / 3e-4)) / 2
     },
@@ -80,6 +91,10 @@ CURVES: dict[str, dict[str, Callable[[np.ndarray, E], np.ndarray]]] = {
     "weeping_rod": {
         "flow_1_P_a1": lambda P, e: -e["k"] * np.sqrt(np.maximum(P - P_R, 0.0))
     },
+    "dragged_oil": {"flow_v": lambda v, e: -e["k"] * np.abs(v)},
+    "warming_seal": {
+        "flow_across_per_P_net_t": lambda t, e: -e["c"] * np.expm1(-t / e["tau"])
+    },
     "scored_bore": {
         "flow_across_per_P_net_x": lambda x, e: e["c_il"] * _bell(x, e["width"])
     },
@@ -104,7 +119,8 @@ def laws(name: str, e: E, rig: Mapping[str, float]) -> dict[str, Law]:
     """The truth as a curve, by the names of the terms that can be it; SI.
 
     What is a share of the Coulomb level is a curve in N only if both directions have
-    one level: the mean of them stands for it.
+    one level, and what the valve does is one only if all edges have one coefficient:
+    the mean of them stands for it.
     """
     of = {f"free_{term}": law for term, law in CURVES.get(name, {}).items()}
     out: dict[str, Law] = {n: lambda s, law=law: law(s, e) for n, law in of.items()}
@@ -113,4 +129,7 @@ def laws(name: str, e: E, rig: Mapping[str, float]) -> dict[str, Law]:
         level = (rig["k_cp"] + rig["k_cn"]) / 2
         out[f"free_level_per_level_{signal}"] = lambda s: share(s, e)
         out[f"free_level_{signal}"] = lambda s: level * share(s, e)
+    edges = float(np.mean([rig[c] for c in ("c_p1", "c_n1", "c_p2", "c_n2")]))
+    for term, law in VALVE.get(name, {}).items():
+        out[f"free_flow_per_{term}"] = lambda s, law=law: edges * law(s, e)
     return out

@@ -68,7 +68,7 @@ class Point(NamedTuple):
     a tick opens both. Where the edges to the return open elsewhere, these two are of
     the edges from the supply, and behind them stand those of the edges from chamber 2,
     and from chamber 1, to the return. `line` is what stands in the lines, where
-    anything does.
+    anything does, `t` the time since the log began.
     """
 
     P_a1: Float[Array, "*batch"]
@@ -79,6 +79,7 @@ class Point(NamedTuple):
     x: Float[Array, "*batch"]
     v: Float[Array, "*batch"]
     line: Lines | None = None
+    t: Float[Array, "*batch"] | float = 0.0
 
 
 class Chambers(eqx.Module):

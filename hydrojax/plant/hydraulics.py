@@ -53,7 +53,8 @@ def pressure_step(
         p_s, p_r = (
             p[..., 0] + part * (p[..., 1] - p[..., 0]) for p in (inputs.P_s, inputs.P_r)
         )
-        return Point(P[0], P[1], p_s, p_r, opening, x, v, line)
+        t = inputs.t - (1 - part) * inputs.h
+        return Point(P[0], P[1], p_s, p_r, opening, x, v, line, t)
 
     def substep(begun, along):
         (P, line), (part, x_0, x_1, x_2) = begun, along

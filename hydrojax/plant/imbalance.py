@@ -58,6 +58,7 @@ def imbalance_behind(
         x=x[..., n // 2],
         v=(x[..., -1] - x[..., 0]) / h,
         line=None if lines is None else lines[0],
+        t=middle(w.t),
     )
     rates, per_speed = jax.jvp(
         lambda v: rig.pressure_rates(at._replace(v=v)), (at.v,), (jnp.ones_like(at.v),)
@@ -91,9 +92,11 @@ def _lines_along(rig: Rig, w: Windows, opened: Opened) -> tuple[Lines, tuple] | 
         drop = tuple((a + b) / 2 for a, b in pairs)
         return after, (after._replace(drop=drop), tuple(b - a for a, b in pairs))
 
-    P_1, P_2, P_s, P_r, v = (a.T[:-1] for a in (w.P_a1, w.P_a2, w.P_s, w.P_r, w.v))
-    own = tuple(o[-len(P_1) :] for o in opened)
-    at = Point(P_1, P_2, P_s, P_r, own, w.x_fine[..., w.x_fine.shape[-1] // 2].T, v)
+    P_1, P_2, P_s, P_r, v, t = (
+        a.T[:-1] for a in (w.P_a1, w.P_a2, w.P_s, w.P_r, w.v, w.t)
+    )
+    own, x = tuple(o[-len(P_1) :] for o in opened), w.x_fine
+    at = Point(P_1, P_2, P_s, P_r, own, x[..., x.shape[-1] // 2].T, v, t=t)
     moved = (jnp.diff(w.P_a1, axis=1).T, jnp.diff(w.P_a2, axis=1).T)
     along = jax.lax.scan(middle, start, (at, w.h.T[:-1], moved))[1]
     return jax.tree.map(lambda a: a.T, along)

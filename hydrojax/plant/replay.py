@@ -428,10 +428,10 @@ def line_start(rig: Rig, w: Windows, opened: Opened) -> Lines | None:
     line = jax.lax.scan(settle, line, (P_1[:far], P_2[:far], h[:far]))[0]
 
     P_1, P_2 = P_1[far:], P_2[far:]
-    P_s, P_r, x, v = (
-        jnp.broadcast_to(a[:, 0], P_1.shape) for a in (w.P_s, w.P_r, w.x, w.v)
+    P_s, P_r, x, v, t = (
+        jnp.broadcast_to(a[:, 0], P_1.shape) for a in (w.P_s, w.P_r, w.x, w.v, w.t)
     )
-    at = Point(P_1, P_2, P_s, P_r, tuple(o[: near + 1] for o in opened), x, v)
+    at = Point(P_1, P_2, P_s, P_r, tuple(o[: near + 1] for o in opened), x, v, t=t)
     line = settled_drops(rig, jax.tree.map(lambda a: a[0], at), line)
     moved = (jnp.diff(P_1, axis=0), jnp.diff(P_2, axis=0))
     ticks = (jax.tree.map(lambda a: a[:near], at), h[far:], moved)

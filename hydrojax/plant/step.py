@@ -188,7 +188,8 @@ def _pressure_rates_per_speed(
     def rates(v: Array) -> tuple[Array, Array]:
         x = inputs.x[..., -1]
         ends = (inputs.P_s[..., 1], inputs.P_r[..., 1])
-        return rig.pressure_rates(Point(*P, *ends, opening, x, v, line))
+        at = Point(*P, *ends, opening, x, v, line, inputs.t)
+        return rig.pressure_rates(at)
 
     still, moving = rates(jnp.zeros_like(P[0])), rates(jnp.ones_like(P[0]))
     return moving[0] - still[0], moving[1] - still[1]

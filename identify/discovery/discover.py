@@ -101,10 +101,12 @@ def samples_of(data: Data, rig: Rig) -> dict[str, Float[np.ndarray, "rows"]]:
     out |= {deflection_name(slip): within(y) for slip, y in remembered}
     if data.driven_by == "u" or np.ptp(rows(w.F)) > 0:
         out |= {"P_mean": (P_1 + P_2) / 2, "P_net": P_2 - P_1}
+        if data.driven_by in ("u", "pressures"):
+            out |= {"P_a1": P_1, "P_a2": P_2}
     elif data.driven_by == "pressures":
         out["P_mean"] = (P_1 + P_2) / 2
     if data.driven_by == "u":
-        out |= {"u": rows(w.u), "P_a1": P_1, "P_a2": P_2, "P": np.r_[P_1, P_2]}
+        out |= {"u": rows(w.u), "P_s": rows(w.P_s), "P": np.r_[P_1, P_2]}
         out |= {name: within(y) for name, y in commanded(data.motion)}
     return out
 

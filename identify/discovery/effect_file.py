@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from hydrojax import units
 from hydrojax.identify.discovery.formula import Formula
-from hydrojax.identify.discovery.free_form import PISTON, Term
+from hydrojax.identify.discovery.free_form import PISTON, ROUNDED, Term
 from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.plant.turned import AGES
 
@@ -44,8 +44,14 @@ SIGNALS = {
     "P": "P",
     "P_mean": "(at.P_a1 + at.P_a2) / 2",
     "P_net": "at.P_a2 - at.P_a1",
+    "P_a1": "at.P_a1",
+    "P_a2": "at.P_a2",
 }
-FLOWING = {"v": "at.v", "x": "at.x", "u": "spool", "P_net": "at.P_a2 - at.P_a1"}
+FLOWING = {
+    **{name: f"at.{name}" for name in ("v", "x", "t", "P_s")},
+    "u": "spool",
+    "P_net": "at.P_a2 - at.P_a1",
+}
 AXES = {
     "w": "x",
     "back": "u_rate",
@@ -321,20 +327,38 @@ def _jax(code: str) -> str:
     return code.replace("s_0", "self.s_0").replace(" pi ", " jnp.pi ")
 
 
+HEADS = textwrap.indent(
+    f"""\
+drops = (
+    jnp.where(spool > 0, at.P_s - at.P_a1, at.P_a1 - at.P_r),
+    jnp.where(spool > 0, at.P_a2 - at.P_r, at.P_s - at.P_a2),
+)
+heads = [d * (d * d + {ROUNDED!r}) ** -0.25 for d in drops]""",
+    " " * 8,
+).splitlines()
+"""Roots of the drops over the edges that are open, as `free_form.heads` has them."""
+
+
 def _flow(term: Term) -> list[str]:
     out = ["    def flow(self, at):"]
     filling = term.factor in ("filling", "emptying")
-    if filling or term.signal == "u":
+    through = term.factor in ("head", "through")
+    if filling or through or term.signal == "u":
         out += [
             "        way = at.opening",
             "        spool = way[0] if len(way) == 1 else way[0] - way[1]",
         ]
+    if through:
+        out += HEADS
     each = []
     for i, share in enumerate(term.share):
         factor = ""
         if filling:
             way = "spool" if (term.factor == "filling") == (i == 0) else "-spool"
             factor = f"jnp.maximum({way}, 0.0) * "
+        elif through:
+            by = "spool * " if term.factor == "through" else ""
+            factor = f"{by}{('', '-')[i]}heads[{i}] * "
         elif term.factor:
             factor = f"({FLOWING[term.factor]}) * "
         signal = FLOWING.get(term.signal, f"at.P_a{i + 1}")

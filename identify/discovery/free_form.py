@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from hydrojax.effects.splines import bspline
 from hydrojax.parameters import param, specs
+from hydrojax.plant.chambers import Point
 from hydrojax.plant.effect import (
     CommandChannel,
     ComplianceEffect,
@@ -33,8 +34,11 @@ from hydrojax.plant.turned import AGES
 COUNT = 14
 """Coefficients of a curve."""
 
-SIGNALS = 13
+SIGNALS = 15
 """How many signals a place has at most."""
+
+ROUNDED = 1e8
+"""Square of the drop (Pa^2) below which a root of it is rounded."""
 
 
 def _coefficient() -> Any:
@@ -96,7 +100,8 @@ class _OnPiston(FreeForm):
     def at(self, at: Any, *more: Array) -> Array:
         difference = at.P_a2 - at.P_a1
         mean = (at.P_a1 + at.P_a2) / 2
-        seen = (at.v, at.x, at.a, mean, difference, at.t, at.z)
+        pressures = (mean, difference, at.P_a1, at.P_a2)
+        seen = (at.v, at.x, at.a, *pressures, at.t, at.z)
         past = (at.since, at.way, *at.ages) if self.of_turns else ()
         return self.along((*seen, *past, *more))
 
@@ -161,12 +166,30 @@ class FreeFlow(FreeForm, FlowEffect):
         way = at.opening
         spool = way[0] if len(way) == 1 else way[0] - way[1]
         out, into = jnp.maximum(-spool, 0.0), jnp.maximum(spool, 0.0)
-        difference = at.P_a2 - at.P_a1
+        both = (at.P_a2 - at.P_a1, at.v, at.x, spool)
         own = ((at.P_a1, into, out), (at.P_a2, out, into))
-        return tuple(
-            share * self.along((P, difference, at.v, at.x, spool, filling, emptying))
-            for share, (P, filling, emptying) in zip(self.share, own, strict=True)
-        )
+        flows = []
+        for share, head, (P, *ways) in zip(
+            self.share, heads(at, spool), own, strict=True
+        ):
+            signals = (P, *both, *ways, at.P_s, at.t, head, spool * head)
+            flows.append(share * self.along(signals))
+        return tuple(flows)
+
+
+def heads(
+    at: Point, spool: Float[Array, "*batch"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """By how much the flows into chambers 1 and 2 rise with the command, over the
+    valve's coefficient: roots of the drops over the edges that are open, Pa^0.5.
+    """
+
+    def root(drop):
+        return drop * (drop * drop + ROUNDED) ** -0.25
+
+    first = jnp.where(spool > 0, root(at.P_s - at.P_a1), root(at.P_a1 - at.P_r))
+    second = jnp.where(spool > 0, root(at.P_a2 - at.P_r), root(at.P_s - at.P_a2))
+    return first, -second
 
 
 class FreeCompliance(FreeForm, ComplianceEffect):
@@ -305,6 +328,8 @@ PISTON = {
     "a": "m/s^2",
     "P_mean": "Pa",
     "P_net": "Pa",
+    "P_a1": "Pa",
+    "P_a2": "Pa",
     "t": "s",
     "z": "m",
     "since": "s",
@@ -365,6 +390,7 @@ TERMS: tuple[Term, ...] = (
             (("P", 0, "Pa"), _BOTH),
             (("P_net", 1, "Pa"), _ACROSS),
             (("v", 2, "m/s"), _ACROSS),
+            (("v", 2, "m/s"), _BOTH),
             (("u", 4, "{u}"), _ACROSS),
         )
     ),
@@ -373,8 +399,18 @@ TERMS: tuple[Term, ...] = (
         for factor, times in (("filling", 6), ("emptying", 7))
     ),
     Term(FreeFlow, "x", 3, "m", "m^3/(s*Pa)", 1e-13, "P_net", 2, _ACROSS),
+    Term(FreeFlow, "t", 8, "s", "m^3/(s*Pa)", 1e-13, "P_net", 2, _ACROSS),
+    *(
+        Term(FreeFlow, signal, which, unit, of, size, factor, times)
+        for signal, which, unit in (("t", 8, "s"), ("P_s", 7, "Pa"))
+        for of, size, factor, times in (
+            ("m^3/(s*Pa^0.5)", 1e-11, "head", 10),
+            ("m^3/(s*Pa^0.5*{u})", 1e-10, "through", 11),
+        )
+    ),
     Term(FreeCompliance, "P", 0, "Pa", "1/Pa", 1e-10),
-    *_piston(FreeLevel, ("v", "x", "P_mean", "P_net", "t", "since", "way")),
+    *_piston(FreeLevel, ("v", "x", "P_mean", "P_net", "P_a1", "P_a2")),
+    *_piston(FreeLevel, ("t", "since", "way")),
     *_piston(FreeLevel, [name for name in PISTON if name.startswith("age")]),
     *_piston(FreeLevel, ("P_mean",), "N*s/m", 1e3, "v"),
     *_piston(FreeLevel, ("x",), "N/Pa", 1e-5, "P_mean"),

@@ -211,6 +211,8 @@ def test_a_curve_with_hysteresis_is_an_effect_that_slides(tmp_path, vocabulary):
         ("free_level_age_1000um", {"ages": (0.9, 0.3, 0.1)}, 1.0),
         ("free_level_per_P_mean_x", {"x": 0.3, "P_a1": 2e6, "P_a2": 6e6}, 4e6),
         ("free_friction_per_v_t", {"t": 0.3, "v": -0.02}, -0.02),
+        ("free_level_P_a1", {"P_a1": 0.3, "P_a2": 6e6}, 1.0),
+        ("free_level_P_a2", {"P_a1": 2e6, "P_a2": 0.3}, 1.0),
     ],
 )
 def test_a_curve_times_another_signal_and_one_with_a_memory_are_effects(
@@ -318,14 +320,39 @@ def test_a_written_effect_says_where_it_is_a_guess(tmp_path, vocabulary):
     assert "on behind, how far a lag of 30 ms is behind the command, from -0.02" in said
 
 
-def test_a_leak_along_the_stroke_is_an_effect(tmp_path, vocabulary):
-    span = np.linspace(-1.0, 1.0, 301)
-    term = TERM["free_flow_across_per_P_net_x"]
-    made = replace(law("free_level_v"), term=term, knots=knots_over(span, 14))
-    kind = written(tmp_path, found(made, "none"))
-    at = Point(3e6, 5e6, 14e6, 2.5e5, (0.5,), 0.3, 0.0)
-    want = 2e6 * BSpline(made.knots, made.coefficients, 3)(0.3)
-    np.testing.assert_allclose(kind(amount=1.0).flow(at), (want, -want), rtol=1e-5)
+HEADS = {0.5: (11e6**0.5, -(4.75e6**0.5)), -0.5: (2.75e6**0.5, -(9e6**0.5))}
+"""By command, roots of what drops at 3 and 5 MPa over the edges that are open."""
+
+
+@pytest.mark.parametrize("kind", ["written", "searched"])
+@pytest.mark.parametrize("spool", HEADS)
+@pytest.mark.parametrize(
+    ("term", "times"),
+    [
+        ("free_flow_across_per_P_net_x", lambda u: (2e6, -2e6)),
+        ("free_flow_across_per_P_net_t", lambda u: (2e6, -2e6)),
+        ("free_flow_v", lambda u: (1.0, 1.0)),
+        ("free_flow_per_head_t", lambda u: HEADS[u]),
+        ("free_flow_per_head_P_s", lambda u: HEADS[u]),
+        ("free_flow_per_through_t", lambda u: (u * HEADS[u][0], u * HEADS[u][1])),
+    ],
+)
+def test_a_flow_over_any_signal_is_an_effect(
+    kind, spool, term, times, tmp_path, vocabulary
+):
+    """As it is searched and as it is written: the signal stands at 0.3."""
+    span = np.linspace(-1.0, 1.0, 301) * (5e7 if term.endswith("P_s") else 1.0)
+    made = replace(law("free_level_v"), term=TERM[term], knots=knots_over(span, 14))
+    effect: Any
+    if kind == "written":
+        effect = written(tmp_path, found(made, "none"))(amount=1.0)
+    else:
+        c = enumerate(made.coefficients / made.term.size)
+        effect = replace(made.term.laid(made.knots), **{f"c_{i}": v for i, v in c})
+    at = Point(3e6, 5e6, 14e6, 2.5e5, (spool,), 0.3, 0.3, t=0.3)
+    s = 14e6 if term.endswith("P_s") else 0.3
+    want = BSpline(made.knots, made.coefficients, 3)(s) * np.array(times(spool))
+    np.testing.assert_allclose(effect.flow(at), want, rtol=1e-4)
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from hydrojax.effects import FlowEffect
 from hydrojax.parameters import put
 from hydrojax.plant.chambers import P_VAPOUR
 from hydrojax.plant.hydraulics import pressure_step
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.plant.load import Inertia
-from hydrojax.plant.rig import bare_rig
+from hydrojax.plant.rig import add, bare_rig
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.step import start, step
 
@@ -203,3 +204,24 @@ def test_a_moving_load_is_held_at_the_end_of_its_stroke(cylinder):
     rest = LENGTH / 2 * (1 - 8e-3) + drive / 1e8
     assert float(x[-1] - rest) == pytest.approx(0.0, abs=1e-5)
     assert abs(F[-1]) < 0.01 * drive and np.max(x) < LENGTH / 2
+
+
+def test_a_flow_that_grows_with_time_is_one(cylinder):
+    """Into shut chambers at rest: a pressure rises by the square of the time."""
+
+    class Growing(FlowEffect):
+        name = "growing"
+        residual_axis = "t"
+
+        def flow(self, at):
+            return 1e-7 * at.t, -1e-7 * at.t
+
+    own, P = add(cylinder, [Growing()]), (6e6, 7e6)
+    for i in range(20):
+        inputs = tick_inputs(
+            i * 1e-3, 1e-3, 0.0, lambda t: 0.01 + 0 * t, lambda t: 14e6
+        )
+        P, _ = pressure_step(own, P, (jnp.zeros(()),), inputs)
+    lengths = LENGTH / 2 + np.array([-0.01, 0.01])
+    rise = np.array([1, -1]) * BETA * 1e-7 * 0.02**2 / 2 / (A * lengths)
+    np.testing.assert_allclose(P, [6e6, 7e6] + rise, rtol=1e-9)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from hydrojax.effects import EFFECTS
+from hydrojax.effects import EFFECTS, FlowEffect
 from hydrojax.plant.imbalance import imbalance
 from hydrojax.plant.replay import openings
 from hydrojax.plant.rig import add
@@ -25,11 +25,32 @@ def windows(drive):
     )
 
 
-@pytest.mark.parametrize("leak", [0.0, LEAK])
-def test_it_is_the_displacement_at_which_the_balance_would_hold(rig, drive, leak):
+class Wearing(FlowEffect):
+    """A leak across the piston that grows from none by LEAK a second."""
+
+    name = "wearing"
+    residual_axis = "t"
+
+    def flow(self, at):
+        cross = LEAK * at.t * (at.P_a1 - at.P_a2)
+        return -cross, cross
+
+
+@pytest.mark.parametrize(
+    ("effect", "leak"),
+    [
+        (EFFECTS["internal_leakage"](c_il=0.0), lambda t: 0.0),
+        (EFFECTS["internal_leakage"](c_il=LEAK), lambda t: LEAK),
+        (Wearing(), lambda t: LEAK * t),
+    ],
+    ids=["none", "leaks", "wears"],
+)
+def test_it_is_the_displacement_at_which_the_balance_would_hold(
+    rig, drive, effect, leak
+):
     made = drive(substeps=2, jitter=0.2)
     motion, w = windows(made)
-    own = add(rig, [EFFECTS["internal_leakage"](c_il=leak)])
+    own = add(rig, [effect])
     got = np.array(imbalance(own, motion, w))
     half = GEOMETRY["chamber_length"] / 2
     t, area = np.asarray(w.t), GEOMETRY["area"]
@@ -41,7 +62,7 @@ def test_it_is_the_displacement_at_which_the_balance_would_hold(rig, drive, leak
             P, offset = (P_1, "delta_1") if chamber == 0 else (P_2, "delta_2")
             length = half + REFERENCE[offset] - sign * x(t)
             stored = length * P(t, 1) / REFERENCE["beta"]
-            lost = leak * (P_1(t) - P_2(t)) / area
+            lost = leak(t) * (P_1(t) - P_2(t)) / area
             return sign * stored - x(t, 1) + lost
 
         for k in (3, 17, 41):
