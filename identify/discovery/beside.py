@@ -10,7 +10,7 @@ from jaxtyping import Float
 from hydrojax.identify.case import Case
 from hydrojax.identify.discovery.free_form import coefficients
 from hydrojax.identify.discovery.search import above_noise
-from hydrojax.identify.discovery.smooth import pull
+from hydrojax.identify.discovery.smooth import pull, signal_in
 from hydrojax.identify.discovery.with_curves import Search, known_of
 from hydrojax.identify.inference.tolerance import with_tolerances
 from hydrojax.identify.inference.uncertainty import estimate_uncertainty
@@ -69,9 +69,7 @@ def _pulls(at: Search) -> Float[np.ndarray, "free free"]:
         own = coefficients(curve.laid.effect)
         mine = [free.index(n) for n in own]
         knots = np.asarray(curve.laid.effect.knots)
-        # A spline whose coefficients are the means of three knots is the signal.
-        line = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
         c = state.point.values[[names.index(n) for n in own]]
         sums = at.columns[curve.laid.term.name]
-        out[np.ix_(mine, mine)] += pull(sums, curve.smooth, c, line)
+        out[np.ix_(mine, mine)] += pull(sums, curve.smooth, c, signal_in(knots))
     return out

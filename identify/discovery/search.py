@@ -120,8 +120,9 @@ def scored(
     scores, curves = {}, {}
     for turn in range(max(map(len, by_place))):
         laid = [own[turn] for own in by_place if turn < len(own)]
+        knots = {one.term.name: np.asarray(one.effect.knots) for one in laid}
         for name, columns in columns_of(at, laid, weights).items():
-            curves[name] = smoothed(columns)
+            curves[name] = smoothed(columns, knots[name])
             scores[name] = _score(name, columns, curves[name])
     return scores, curves
 

@@ -89,10 +89,26 @@ def directions(
     return out
 
 
-def roughness(count: int) -> Float[np.ndarray, "count count"]:
-    """The penalty of P-splines: squares of second differences (Eilers and Marx)."""
-    D = np.diff(np.eye(count), 2, axis=0)
+def roughness(knots: Float[np.ndarray, "k+4"]) -> Float[np.ndarray, "k k"]:
+    """The penalty of P-splines (Eilers and Marx): squares of by how much the slope of
+    the coefficients turns, each over the mean of three knots; over even knots, of their
+    second differences.
+
+    A line is not rough, and a corner as rough as it is sharp, however close the knots
+    there are (Li and Cao, 2022: second differences would bend a line over knots that
+    are not even).
+    """
+    gaps = np.diff(signal_in(knots))
+    gaps = np.maximum(gaps, 1e-9 * np.mean(gaps)) / np.mean(gaps)
+    D = np.diff(np.diff(np.eye(len(gaps) + 1), axis=0) / gaps[:, None], axis=0)
     return D.T @ D
+
+
+def signal_in(knots: Float[np.ndarray, "k+4"]) -> Float[np.ndarray, "k"]:
+    """Coefficients with which the splines are the signal itself, in its unit: means of
+    three knots.
+    """
+    return (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
 
 
 @dataclass(frozen=True)
@@ -114,8 +130,9 @@ class Smooth:
     degrees: float
 
 
-def smoothed(columns: Columns) -> Smooth:
-    """The curve whose smoothing has the largest restricted likelihood (REML).
+def smoothed(columns: Columns, knots: Float[np.ndarray, "k+4"]) -> Smooth:
+    """The curve over `knots` whose smoothing has the largest restricted likelihood
+    (REML).
 
     The likelihood is that of a Gaussian prior of the roughness, with the coefficients
     integrated out; the noise of the sums is that of their windows, `inflation` times
@@ -125,8 +142,9 @@ def smoothed(columns: Columns) -> Smooth:
     # Where no sample lies only the penalty holds a coefficient.
     typical = np.trace(columns.whole) / k
     ridge = OWN * columns.whole + 1e-9 * typical * np.eye(k)
-    rough, noise = roughness(k), columns.inflation
-    ratio = np.trace(H) / np.trace(rough)
+    rough, noise = roughness(knots), columns.inflation
+    # Of a typical coefficient: where knots are close the penalty is far larger.
+    ratio = np.trace(H) / k / np.median(np.diag(rough))
     best, out = -np.inf, None
     for tried in TRIED * max(ratio, 1e-300):
         penalty = tried * rough + ridge

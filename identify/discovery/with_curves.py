@@ -151,7 +151,7 @@ def relaid(at: Search, noise: Float[np.ndarray, "3"]) -> Search:
         old, new = (np.asarray(bspline(s, k)) for k in (knots, drawn))
         laid = replace(curve.laid, effect=curve.laid.term.laid(drawn))
         there = _placed(at, laid, np.linalg.lstsq(new, old @ c)[0])
-        smooth = smoothed(columns_of(there, [laid], weights)[laid.term.name])
+        smooth = smoothed(columns_of(there, [laid], weights)[laid.term.name], drawn)
         if best and smooth.gain <= best.smooth.gain:
             break
         best = replace(curve, laid=laid, smooth=smooth)
@@ -223,7 +223,8 @@ def _settled(
         if again:
             weights = np.where(np.isfinite(noise), there.state.point.weights, np.inf)
             columns = columns_of(there, [one], weights)[one.term.name]
-            curve = replace(curve, smooth=smoothed(columns))
+            knots = np.asarray(one.effect.knots)
+            curve = replace(curve, smooth=smoothed(columns, knots))
             there = replace(there, curves=(*others, curve))
     return with_errors(there)
 

@@ -26,6 +26,8 @@ from hydrojax.identify.discovery.smooth import (
     covariance,
     directions,
     pull,
+    roughness,
+    signal_in,
     smoothed,
 )
 from hydrojax.identify.discovery.with_curves import drawn_knots
@@ -49,15 +51,16 @@ LAWS = {
 }
 
 
-def drawn(law, seed=0, noise=NOISE, refits=0):
+def drawn(law, seed=0, noise=NOISE, refits=0, knots=None):
     """A regression of y on 1 and s, and a curve of s: samples, knots and sums.
 
-    The sums are taken where no curve is, or where so many refits with it end.
+    The sums are taken where no curve is, or where so many refits with it end; the knots
+    lie as the samples do, unless they are given.
     """
     rng = np.random.default_rng(seed)
     s = rng.uniform(-2, 2, (WINDOWS, TICKS))
     y = 0.7 + 1.3 * s + law(s) + noise * rng.normal(size=s.shape)
-    knots = knots_over(s.ravel(), COUNT)
+    knots = knots_over(s.ravel(), COUNT) if knots is None else knots
     B = BSpline.design_matrix(np.clip(s.ravel(), knots[0], knots[-1]), knots, 3)
     B = B.toarray().reshape(*s.shape, COUNT)
     fitted = np.stack([np.ones_like(s), s], axis=-1)
@@ -70,7 +73,7 @@ def drawn(law, seed=0, noise=NOISE, refits=0):
         columns = Columns.of(projection, list(range(2, COUNT + 2)), c)
         if not refits:
             return s.ravel(), y.ravel(), knots, columns
-        refits, c = refits - 1, smoothed(columns).c
+        refits, c = refits - 1, smoothed(columns, knots).c
         left = beside(s.ravel(), (y - B @ c).ravel()).reshape(y.shape)
 
 
@@ -89,7 +92,7 @@ def test_a_curve_lies_in_its_band(name, noise):
     inside, width = [], []
     for seed in range(10):
         s, _, knots, columns = drawn(law, seed, noise, refits=2)
-        smooth = smoothed(columns)
+        smooth = smoothed(columns, knots)
         _, part = covariance(columns, smooth)
         B = BSpline.design_matrix(np.clip(s, knots[0], knots[-1]), knots, 3).toarray()
         above = max(columns.left - rows, 0) + np.sqrt(2 * rows * columns.inflation)
@@ -121,7 +124,7 @@ def off_beside(law, seed, centre, lines):
         gram = np.einsum("wti,wtj->wij", rows, rows)
         projection = Projection(gram, range(lines), np.zeros(lines + COUNT))
         columns = Columns.of(projection, list(range(lines, lines + COUNT)), c)
-        return columns, smoothed(columns)
+        return columns, smoothed(columns, knots)
 
     columns, smooth = curve_beside(np.zeros(COUNT))
     for _ in range(2):
@@ -198,9 +201,9 @@ def test_what_stands_above_the_noise():
 
 def test_what_is_fitted_keeps_its_part():
     """A straight law is the fitted parameters' own: no direction of the curve is."""
-    *_, columns = drawn(lambda s: 5.0 * s)
+    *_, knots, columns = drawn(lambda s: 5.0 * s)
     assert directions(columns.H, columns.whole).shape[1] == COUNT - 2
-    smooth = smoothed(columns)
+    smooth = smoothed(columns, knots)
     assert smooth.gain < 40
     assert smooth.degrees < 4
 
@@ -209,7 +212,7 @@ def test_smoothing_follows_the_noise():
     def law(s):
         return np.sin(3 * s)
 
-    quiet, loud = (smoothed(drawn(law, noise=n)[3]) for n in (0.1, 30.0))
+    quiet, loud = (smoothed(*drawn(law, noise=n)[:1:-1]) for n in (0.1, 30.0))
     assert quiet.degrees > 8
     assert loud.degrees < 4
 
@@ -217,7 +220,7 @@ def test_smoothing_follows_the_noise():
 @pytest.mark.parametrize("name", LAWS)
 def test_a_law_is_named(name):
     s, _, knots, columns = drawn(LAWS[name])
-    found = formula_of(columns, smoothed(columns), knots, s, 1.0)
+    found = formula_of(columns, smoothed(columns, knots), knots, s, 1.0)
     assert found is not None
     assert found.form.name == name
     want = {"drag": 1.7, "bell": 3.0, "saturation": -2.0, "ramp": 2.5}
@@ -233,7 +236,7 @@ def test_a_law_that_no_form_has_stays_a_curve():
         return 3 * np.sin(2.1 * s) * np.exp(s) + 2 * np.cos(5 * s + 1)
 
     s, _, knots, columns = drawn(law)
-    assert formula_of(columns, smoothed(columns), knots, s, 1.0) is None
+    assert formula_of(columns, smoothed(columns, knots), knots, s, 1.0) is None
 
 
 def test_forms_have_a_term_for_each_power():
@@ -374,6 +377,33 @@ def test_knots_are_drawn_to_a_corner():
     assert np.all(np.diff(off) < 0) and off[-1] < 0.25 * off[0]
     even = knots_over(s, COUNT)
     np.testing.assert_allclose(drawn_knots(even, np.ones(COUNT)), even)
+
+
+@pytest.mark.parametrize(
+    ("law", "most"),
+    [
+        (lambda s: 3 * np.abs(s - 0.3), 0.03),
+        (lambda s: 4 * np.exp(-np.abs(s + 2) / 0.3), 0.03),
+    ],
+    ids=["corner", "decay"],
+)
+def test_what_is_straight_beside_a_corner_is_smooth(law, most):
+    """Knots that were drawn to a corner lie far apart where a law runs straight: it is
+    followed there too, the better each time they are drawn.
+    """
+    knots, off = None, []
+    for _ in range(4):
+        s, _, knots, columns = drawn(law, knots=knots)
+        c = smoothed(columns, knots).c
+        B = BSpline.design_matrix(np.clip(s, knots[0], knots[-1]), knots, 3).toarray()
+        off.append(np.std(beside(s, law(s) - B @ c)))
+        knots = drawn_knots(knots, c)
+    assert off[-1] < most
+    s = np.linspace(knots[0], knots[-1], 999)
+    B = BSpline.design_matrix(s, knots, 3).toarray()
+    line = np.linalg.lstsq(B, s, rcond=None)[0]
+    np.testing.assert_allclose(signal_in(knots), line, atol=1e-9)
+    assert line @ roughness(knots) @ line < 1e-12
 
 
 def test_a_tolerance_moves_a_rig_with_its_curves(recorded):
