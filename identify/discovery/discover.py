@@ -25,7 +25,7 @@ from hydrojax.identify.discovery.shown import found_curves
 from hydrojax.identify.discovery.with_curves import Search
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import FitPoint, reweighted
-from hydrojax.identify.estimation.known import COULOMB, free_effect, free_parameters
+from hydrojax.identify.estimation.known import free_effect, free_parameters
 from hydrojax.identify.estimation.problem import Problem, in_play
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.preparation.noise import CHANNELS
@@ -41,7 +41,11 @@ from hydrojax.rigfile.build import build_rig, effects_of
 def begun(
     case: Case, outcome: Outcome, progress: Callable[[str], None] = lambda _: None
 ) -> Search:
-    """A search that stands where a fit or a trace ended, every free form dormant."""
+    """A search that stands where a fit or a trace ended, every free form dormant.
+
+    A fit that held k_cp and k_cn equal did so by what it could tell while something was
+    missing: with a curve in place the logs may tell them apart, and nothing holds them.
+    """
     found = outcome.in_model
     rig = build_rig(case.spec, found, [form() for form in FORMS])
     free = free_parameters(case.spec)
@@ -58,9 +62,7 @@ def begun(
     every = dict(free)
     for form in FORMS:
         every |= free_effect(form.name, specs(form))
-    k_cp, k_cn = (outcome.values.get(n) for n in COULOMB)
-    alike = k_cp is not None and k_cn is not None and np.isclose(k_cp, k_cn, rtol=1e-5)
-    problem = replace(problem, free=every, symmetric=bool(alike))
+    problem = replace(problem, free=every)
     values = np.array(problem.model.values)
     for i, name in enumerate(problem.model.names):
         values[i] = outcome.values.get(name, values[i])

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from hydrojax import units
 from hydrojax.identify.discovery.formula import Formula
-from hydrojax.identify.discovery.free_form import PISTON, ROUNDED, Term
+from hydrojax.identify.discovery.free_form import FACTORS, PISTON, ROUNDED, Term
 from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.plant.turned import AGES
 
@@ -200,6 +200,8 @@ def _rests_on(law: FoundLaw) -> list[str]:
     means = f", {law.term.means}," if law.term.means else ""
     text = f"It rests on {law.term.signal}{means} {span(law.seen)}; "
     text += "beyond that it is extrapolated."
+    if law.term.factor in FACTORS:
+        text += f" {law.term.factor} is {FACTORS[law.term.factor]}."
     if law.gaps:
         text += f" Without samples, and a guess, {', '.join(map(span, law.gaps))}."
     return textwrap.wrap(text, 84, initial_indent="    ", subsequent_indent="    ")

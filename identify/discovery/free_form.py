@@ -355,6 +355,13 @@ def _piston(
     ]
 
 
+FACTORS = {
+    "head": "by how much the flow rises with the command, over the valve's coefficient",
+    "through": "the flow through the valve, over its coefficient",
+}
+"""What multiplies a curve, where its name does not say it."""
+
+
 def share_of_level(term: Term) -> Term:
     """The term of a level as a share of the Coulomb level, of either direction."""
     times = len(PISTON) + 1

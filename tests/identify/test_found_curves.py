@@ -318,6 +318,9 @@ def test_a_written_effect_says_where_it_is_a_guess(tmp_path, vocabulary):
     text = effect_source(replace(made, term=TERM["free_command_behind_30ms"]), "late")
     said = " ".join(text.split())
     assert "on behind, how far a lag of 30 ms is behind the command, from -0.02" in said
+    text = effect_source(replace(made, term=TERM["free_flow_per_through_t"]), "wears")
+    said = " ".join(text.split())
+    assert "through is the flow through the valve, over its coefficient." in said
 
 
 HEADS = {0.5: (11e6**0.5, -(4.75e6**0.5)), -0.5: (2.75e6**0.5, -(9e6**0.5))}
