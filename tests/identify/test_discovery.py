@@ -15,7 +15,7 @@ import hydrojax as hj
 from hydrojax.effects.splines import knots_over
 from hydrojax.effects.valve import ValveLag
 from hydrojax.identify.case import open_case
-from hydrojax.identify.discovery.discover import commanded, deflections
+from hydrojax.identify.discovery.discover import begun, commanded, deflections
 from hydrojax.identify.discovery.formula import FORMS, formula_of
 from hydrojax.identify.discovery.free_form import FORMS as FREE_FORMS
 from hydrojax.identify.discovery.free_form import LAGS
@@ -421,6 +421,20 @@ def test_a_tolerance_moves_a_rig_with_its_curves(recorded):
     assert differ
     for a, b in differ:
         np.testing.assert_allclose(b - a, 1e-5, rtol=1e-9)
+
+
+def test_a_search_holds_no_levels_equal(recorded, monkeypatch):
+    """Though a fit without a curve ended where they are: that is where it starts."""
+    monkeypatch.setattr(Problem, "started", lambda self, values: self.batch)
+    monkeypatch.setattr(Problem, "errors_at", lambda self, values: np.ones((1, 3)))
+    monkeypatch.setattr(Problem, "rms", lambda self, errors: np.ones(3))
+    folder = recorded(1)
+    logs = ([folder / "fit_1.csv"], [folder / "validate.csv"])
+    case = open_case(folder / "rig.toml", *logs)
+    ended = Mock(in_model=(), channels={}, values={"k_cp": 900.0, "k_cn": 900.0})
+    state = begun(case, ended).state
+    assert state.named["k_cp"] == state.named["k_cn"] == 900.0
+    assert not state.problem.symmetric
 
 
 @pytest.mark.slow

@@ -214,7 +214,8 @@ def test_a_flow_that_grows_with_time_is_one(cylinder):
         residual_axis = "t"
 
         def flow(self, at):
-            return 1e-7 * at.t, -1e-7 * at.t
+            q = jnp.asarray(1e-7 * at.t)
+            return q, -q
 
     own, P = add(cylinder, [Growing()]), (6e6, 7e6)
     for i in range(20):
