@@ -152,8 +152,10 @@ class Plant:
         turn = np.clip(z / r["z_ss"], -1, 1)
         level = np.where(z > 0, r["k_cp"], r["k_cn"])
         if e.has("stribeck"):
-            width = e("stribeck", "v_s")
-            level = level + e("stribeck", "k_st") * np.exp(-((v / width) ** 2))
+            width, speed = e("stribeck", "v_s"), v
+            if e.has("frictional_lag"):
+                speed = np.where(e("frictional_lag", "tau_h") > 0, self.film, v)
+            level = level + e("stribeck", "k_st") * np.exp(-((speed / width) ** 2))
         if e.has("position_friction"):
             angle = 2 * np.pi * x / e("position_friction", "wavelength")
             level = level * (1 + e("position_friction", "a") * np.sin(angle))

@@ -88,7 +88,8 @@ def from_afar(
     whole = next(iter(scores.values())).left
     searches = [_replays(state, effects, noise)]
     if np.any(above & PRESSURES):
-        searches.insert(0, _balances(state, effects, state.criteria.far_steps))
+        steps = state.criteria.far_steps
+        searches.insert(0, _balances(state, effects, _bases(state), steps))
     if state.problem.sees_force and state.problem.sees_pressures:
         # Last, so that it counts where the balances rate the same effects.
         searches.append(_commands(state, effects, noise))
@@ -114,11 +115,11 @@ def together(state: Tracing, effects: Mapping[str, Effect]) -> Iterator[Tracing]
     for sought in range(own.together):
         known = {a.name for a in state.added}
         rest = {n: e for n, e in effects.items() if n not in known}
-        search = _balances(state, rest, own.together_steps)
+        # The rig's own parameters come along with what is found first.
+        begin = _bases(state)[: 1 if sought else None]
+        search = _balances(state, rest, begin, own.together_steps)
         if search is None:
             return
-        if sought:  # the rig's own parameters came along with what was found
-            search = search._replace(begin=search.begin[:1])
         found = _found(state, effects, search)
         fits = [(name, fit) for name, own_fits in found.items() for fit in own_fits]
         if not fits:
@@ -136,6 +137,19 @@ def together(state: Tracing, effects: Mapping[str, Effect]) -> Iterator[Tracing]
         yield state
 
 
+def elsewhere(state: Tracing) -> Values | None:
+    """Where else to fit what is free from: where a few steps of a fit of the flow
+    balances lead with the rig's own parameters back at their starts, if to plainly less
+    than from where they are.
+    """
+    own, few = state.criteria, in_brief(state.problem)
+    if not few.sees_pressures:
+        return None
+    evaluate = partial(balance_at, few)
+    here, back = _own(state, few, evaluate, _bases(state), own.far_steps)
+    return back.values if back.left < (1 - own.wanted) * here.left else None
+
+
 def near_in_balances(
     state: Tracing, less: Tracing, rivals: Mapping[str, Effect]
 ) -> list[tuple[str, Values]] | None:
@@ -149,7 +163,8 @@ def near_in_balances(
     if len(state.problem.side(gone, True)) < len(gone):
         return None
     own = state.criteria
-    search = _balances(less, rivals, own.far_steps)
+    # Not from the starts too: with either the rig's own parameters are where they are.
+    search = _balances(less, rivals, _bases(less)[:1], own.far_steps)
     if search is None:
         return None
     problem, evaluate = search.problem, search.evaluate
@@ -165,7 +180,10 @@ def near_in_balances(
 
 
 def _balances(
-    state: Tracing, effects: Mapping[str, Effect], steps: int
+    state: Tracing,
+    effects: Mapping[str, Effect],
+    begin: Sequence[Values],
+    steps: int,
 ) -> _Search | None:
     """Effects that act on the pressures, where these are measured."""
     few = in_brief(state.problem)
@@ -178,21 +196,20 @@ def _balances(
         return None
 
     evaluate = partial(balance_at, few)
-    bases = _bases(state)
-    here = min(f.left for f in _own(state, few, evaluate, bases, steps))
-    return _Search(few, evaluate, here, upstream, bases, steps)
+    here = min(f.left for f in _own(state, few, evaluate, begin, steps))
+    return _Search(few, evaluate, here, upstream, begin, steps)
 
 
 def _own(
     state: Tracing,
     few: Problem,
     evaluate: Evaluate,
-    bases: Sequence[Values],
+    begin: Sequence[Values],
     steps: int,
 ) -> list[Linear]:
-    """Fits of what is free already, a few steps from each of some bases."""
+    """Fits of what is free already, a few steps from each of some values."""
     free = state.free
-    return [descend(few, evaluate, evaluate(base, free), free, steps) for base in bases]
+    return [descend(few, evaluate, evaluate(at, free), free, steps) for at in begin]
 
 
 def _replays(

@@ -80,8 +80,8 @@ class Criteria:
     """Ticks whose flow balances are fitted to look for starts, count: in windows
     spread over the logs: time against information."""
     much: float = 2.0
-    """RMS of a pressure over its noise that the first two effects have to leave for
-    several to be tried together, 1: time. `benchmarks.recorded` (machine 06)."""
+    """RMS of a pressure over its noise that the first effect has to leave for several
+    to be tried together, 1: time. `benchmarks.recorded` (machine 06)."""
     together: int = 9
     """Effects that are tried together, count: time."""
     together_steps: int = 20

@@ -12,7 +12,7 @@ import numpy as np
 from hydrojax.identify.estimation.columns import HANDFUL, thinned
 from hydrojax.identify.estimation.fit import FitPoint, fit_force, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.identify.tracing.afar import together
+from hydrojax.identify.tracing.afar import elsewhere, together
 from hydrojax.identify.tracing.judge import (
     as_good,
     better,
@@ -71,7 +71,8 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
             several = _or_several(begun, more, effects, noise)
             if several is not more:
                 # Each was chosen before the others were there.
-                state = _in_steps(pruned(several, noise, fresh=0), begun, noise)
+                several = pruned(_from_elsewhere(several, noise), noise, fresh=0)
+                state = _in_steps(several, begun, noise)
                 continue
         if added:
             state = pruned(more, noise)
@@ -148,6 +149,22 @@ def _several(
             state.progress(f"added {name}")
         added = (Added(name, p_value, *ends, ()) for name in names)
         return replace(found, added=(*state.added, *added))
+    return state
+
+
+def _from_elsewhere(state: Tracing, noise: np.ndarray) -> Tracing:
+    """The state fitted from where else it may be, if that leaves less: a fit to
+    pressures ends in one of many minima, and models that lacked what was added since
+    drove the rig's own parameters far off.
+    """
+    values = elsewhere(state)
+    if values is None:
+        return state
+    state.progress("fit what was found from the rig's own starts")
+    problem, point = fit_from(state, values, state.free, noise)
+    after = cost(problem.errors_at(point.values), noise)
+    if after < cost(state.problem.errors_at(state.point.values), noise):
+        return replace(state, problem=problem, point=point)
     return state
 
 

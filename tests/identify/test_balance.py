@@ -35,6 +35,7 @@ from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs
 from hydrojax.identify.tracing.afar import (
     _balances,
+    _bases,
     _found,
     near_in_balances,
     together,
@@ -95,7 +96,7 @@ def test_the_missing_effect_stands_out(machine):
     """
     name, state = machine
     wanted, values = MACHINES[name]
-    search = _balances(state, state.effects, Criteria().far_steps)
+    search = _balances(state, state.effects, _bases(state), Criteria().far_steps)
     assert search is not None
     found = _found(state, state.effects, search)
     left = {n: min(f.left for f in fits) for n, fits in found.items()}
@@ -110,7 +111,7 @@ def test_the_missing_effect_stands_out(machine):
 
 @pytest.mark.slow
 def test_what_does_not_act_on_the_pressures_is_left_to_the_replay(machine):
-    search = _balances(machine[1], machine[1].effects, 0)
+    search = _balances(machine[1], machine[1].effects, _bases(machine[1]), 0)
     assert search is not None
     assert "pressure_sensor_lag" in machine[1].effects
     assert "pressure_sensor_lag" not in search.effects
@@ -296,7 +297,7 @@ def test_an_effect_is_not_credited_with_what_own_parameters_do(machine):
     state = replace(state, point=replace(state.point, values=far))
     few = in_brief(problem)
     there = balance_at(few, far, free)
-    search = _balances(state, {name: state.effects[name]}, 1)
+    search = _balances(state, {name: state.effects[name]}, _bases(state), 1)
     assert search is not None
     left = min(f.left for f in _found(state, search.effects, search)[name])
     once = descend(few, search.evaluate, there, free, 1).left
