@@ -10,7 +10,8 @@ Conventions where a law leaves room: pressures are gauge; Stribeck, damping and 
 parts stand inside the sliding friction and fade with it in presliding; presliding sees
 the piston's force, before gravity and inertia of what lies ahead of the load cell;
 P_s is logged ahead of the supply line; the film of `frictional_lag` follows the speed,
-whatever its sign, and friction keeps the bristle's sign.
+whatever its sign, friction keeps the bristle's sign, and both its viscous part and
+Stribeck's follow the film.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class _Search(NamedTuple):
         problem: on a few windows.
         evaluate: the sum of squares that rates them.
         here: that of the model without them, once its own parameters follow: the least
-            from where they are and from their starts, as effects are tried from both.
+            from each of `begin`, as effects are tried from there.
         effects: with the strengths from which each is tried, by effect.
         begin: values that all else has then.
         steps: of the fits that follow, at most.
@@ -146,7 +146,7 @@ def elsewhere(state: Tracing) -> Values | None:
     if not few.sees_pressures:
         return None
     evaluate = partial(balance_at, few)
-    here, back = _own(state, few, evaluate, _bases(state), own.far_steps)
+    here, back = _own_fits(state, few, evaluate, _bases(state), own.far_steps)
     return back.values if back.left < (1 - own.wanted) * here.left else None
 
 
@@ -196,11 +196,11 @@ def _balances(
         return None
 
     evaluate = partial(balance_at, few)
-    here = min(f.left for f in _own(state, few, evaluate, begin, steps))
+    here = min(f.left for f in _own_fits(state, few, evaluate, begin, steps))
     return _Search(few, evaluate, here, upstream, begin, steps)
 
 
-def _own(
+def _own_fits(
     state: Tracing,
     few: Problem,
     evaluate: Evaluate,
@@ -228,7 +228,7 @@ def _replays(
     few = _thinned(state, noise)
     if problem.sees_pressures:
         few = few.behind(state.point.values)
-    return _by_replays(state, few, grids)
+    return _by_replays(state, few, grids, _bases(state))
 
 
 def _commands(
@@ -245,9 +245,8 @@ def _commands(
     }
     if not grids:
         return None
-    search = _by_replays(state, _thinned(state, noise), grids)
     # What was found with the first is where the second is looked for.
-    return search._replace(begin=search.begin[:1])
+    return _by_replays(state, _thinned(state, noise), grids, _bases(state)[:1])
 
 
 def _thinned(state: Tracing, noise: Float[np.ndarray, "3"]) -> Problem:
@@ -258,7 +257,10 @@ def _thinned(state: Tracing, noise: Float[np.ndarray, "3"]) -> Problem:
 
 
 def _by_replays(
-    state: Tracing, few: Problem, grids: Mapping[str, Sequence[Mapping[str, float]]]
+    state: Tracing,
+    few: Problem,
+    grids: Mapping[str, Sequence[Mapping[str, float]]],
+    begin: Sequence[Values],
 ) -> _Search:
     """A search of effects from their grids by replays of a few windows."""
     own, batch = state.criteria, few.batch
@@ -271,10 +273,12 @@ def _by_replays(
         gram = few.evaluate(values, tuple(free), slots, batch).gram
         return Linear.of(few, values, columns, np.sum(gram, axis=0))
 
-    here, back = bases = _bases(state)
-    left = evaluate(here, state.free).predicted(few)
-    (other,) = _own(state, few, evaluate, [back], own.far_steps)
-    return _Search(few, evaluate, min(left, other.left), grids, bases, own.far_steps)
+    # The present values are a fit's: one linear step says where it would end.
+    at, *others = begin
+    fits = _own_fits(state, few, evaluate, others, own.far_steps)
+    left = evaluate(at, state.free).predicted(few)
+    here = min([left, *(f.left for f in fits)])
+    return _Search(few, evaluate, here, grids, begin, own.far_steps)
 
 
 def _bases(state: Tracing) -> tuple[Values, Values]:

@@ -121,6 +121,19 @@ def test_flow_laws_have_their_closed_forms():
     assert scored == pytest.approx(leak)  # in the middle
 
 
+def test_friction_that_depends_on_speed_follows_the_film():
+    peak, width, film, v = 90.0, 4e-3, np.array([3e-3]), np.array([8e-3])
+    own = {
+        "stribeck": {"k_st": peak, "v_s": width},
+        "frictional_lag": {"tau_h": 0.1},
+    }
+    one = plant.Plant([lane(own)], STEP)
+    one.z, one.film = np.array([RIG["z_ss"]]), film
+    got = one.sliding(0.0, np.zeros(1), v, np.full((2, 1), 5e6))
+    level = RIG["k_cp"] + peak * np.exp(-((film / width) ** 2))
+    assert got == pytest.approx(level + RIG["k_0"] - RIG["k_vp"] * film)
+
+
 def test_what_nothing_names_has_its_closed_form():
     """Flows, levels, forces and readings, one law a lane, against curves of their own;
     what remembers is moved there by steps.
