@@ -12,7 +12,7 @@ import numpy as np
 from hydrojax.identify.estimation.columns import HANDFUL, thinned
 from hydrojax.identify.estimation.fit import FitPoint, fit_force, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.identify.tracing.afar import elsewhere, together
+from hydrojax.identify.tracing.in_balances import elsewhere, together
 from hydrojax.identify.tracing.judge import (
     as_good,
     better,

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.tracing.afar import near_in_balances
+from hydrojax.identify.tracing.in_balances import near_in_balances
 from hydrojax.identify.tracing.judge import judge, may_rise, negligible, worse
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection

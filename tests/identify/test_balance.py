@@ -33,14 +33,13 @@ from hydrojax.identify.estimation.starts import placed
 from hydrojax.identify.preparation import data as preparation
 from hydrojax.identify.preparation import windows
 from hydrojax.identify.preparation.data import prepare_logs
-from hydrojax.identify.tracing.afar import (
-    _balances,
-    _bases,
-    _found,
+from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.identify.tracing.grids import bases, found_along
+from hydrojax.identify.tracing.in_balances import (
+    in_balances,
     near_in_balances,
     together,
 )
-from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.loop import _in_steps, _several
 from hydrojax.identify.tracing.rivals import _taken_out
 from hydrojax.identify.tracing.state import Tracing
@@ -96,9 +95,9 @@ def test_the_missing_effect_stands_out(machine):
     """
     name, state = machine
     wanted, values = MACHINES[name]
-    search = _balances(state, state.effects, _bases(state), Criteria().far_steps)
+    search = in_balances(state, state.effects, bases(state), Criteria().far_steps)
     assert search is not None
-    found = _found(state, state.effects, search)
+    found = found_along(state, state.effects, search)
     left = {n: min(f.left for f in fits) for n, fits in found.items()}
     order = sorted(left, key=lambda n: left[n])
     assert order[0] == wanted
@@ -111,7 +110,7 @@ def test_the_missing_effect_stands_out(machine):
 
 @pytest.mark.slow
 def test_what_does_not_act_on_the_pressures_is_left_to_the_replay(machine):
-    search = _balances(machine[1], machine[1].effects, _bases(machine[1]), 0)
+    search = in_balances(machine[1], machine[1].effects, bases(machine[1]), 0)
     assert search is not None
     assert "pressure_sensor_lag" in machine[1].effects
     assert "pressure_sensor_lag" not in search.effects
@@ -298,9 +297,9 @@ def test_an_effect_is_not_credited_with_what_own_parameters_do(machine):
     few = in_brief(problem)
     there = balance_at(few, far, free)
     effects = {name: state.effects[name]}
-    search = _balances(state, effects, _bases(state), 1)
+    search = in_balances(state, effects, bases(state), 1)
     assert search is not None
-    left = min(f.left for f in _found(state, effects, search)[name])
+    left = min(f.left for f in found_along(state, effects, search)[name])
     once = descend(few, search.evaluate, there, free, 1).left
     assert left < 0.7 * once
     assert left > 0.8 * search.here
