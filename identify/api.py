@@ -19,10 +19,10 @@ from hydrojax.identify.checking.mended import Findings, mended_case
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
-    fit_all,
     fit_force,
     fit_from_balances,
     fit_jointly,
+    fit_on,
     in_short,
     reweighted,
 )
@@ -331,7 +331,7 @@ def _on_all(problem: Problem, state: Tracing) -> Tracing:
         return state  # its last fit was to the end
     state.progress("fit to the end" if whole else "fit to all windows")
     problem = replace(problem, batch=problem.batch._replace(noise=state.noise))
-    problem, point = fit_all(problem, state.point.values, state.free)
+    problem, point = fit_on(problem, state.point.values, state.free)
     state = replace(state, problem=problem, point=point)
     return state if whole else pruned(state, state.noise, fresh=0)
 

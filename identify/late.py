@@ -14,7 +14,7 @@ from hydrojax.identify.checking.mended import Findings
 from hydrojax.identify.checking.path import least
 from hydrojax.identify.checking.words import late_position, with_delay
 from hydrojax.identify.estimation.columns import batch_of
-from hydrojax.identify.estimation.fit import FitPoint, fit_jointly
+from hydrojax.identify.estimation.fit import FitPoint, fit_jointly, in_short
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log, brought_forward
@@ -109,7 +109,8 @@ def _tick(case: Case) -> float:
 @dataclass(frozen=True)
 class _Error:
     """The squared errors, over `weights`, of a fit with a signal brought forward by so
-    many seconds more.
+    many seconds more; where windows are many, on some: each delay that is tried takes
+    a fit.
     """
 
     case: Case
@@ -122,7 +123,7 @@ class _Error:
     def __call__(self, seconds: float) -> float:
         logs = [_later(log, self.name, seconds) for log in self.case.read_logs]
         data = self.case.preparation.data(logs)
-        moved = replace(self.problem, batch=batch_of(data))
+        moved = in_short(replace(self.problem, batch=batch_of(data)))
         point = self.point
         moved, at = fit_jointly(moved, point.values, tuple(self.free), point.weights)
         seen = np.isfinite(self.weights)

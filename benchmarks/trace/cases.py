@@ -8,7 +8,8 @@ noise), `shift` (another load mass and supply pressure on the validation log). N
 the mix: `large` (one effect as large as the field's literature has it), `differential`
 (a cylinder with its rod on one side) and `coarse` (an encoder of 17 bits in place of
 23), each with one effect or nothing by turns; `several` (three to six effects, each of
-any size from one that matters to the largest of the literature).
+any size from one that matters to the largest of the literature); `unnamed` (more laws
+outside the vocabulary, first all at three times the size that shows, then at once).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from .plant import MASS, Lane
 from .record import Log, record
 
 MIXED = ("nothing", "parameters", "effect", "pair", "outside", "noise", "shift")
-KINDS = (*MIXED, "large", "differential", "coarse", "several", "later")
+KINDS = (*MIXED, "large", "differential", "coarse", "several", "later", "unnamed")
 LOGS = tuple(f"{style}.csv" for style in STYLES)
 
 RANGES = {  # name: (unit, lower end, upper end)
@@ -117,6 +118,7 @@ def plan(
         "coarse": _by_turns("coarse", names, bits=17),
         "several": _several(names),
         "later": _later(),
+        "unnamed": _unnamed(),
     }
     more = dict(more or {})
     if unknown := sorted(set(more) - set(makers)):
@@ -194,6 +196,15 @@ def _outside() -> Iterator[CaseSpec]:
     for i in count():
         for name in OUTSIDE:
             yield CaseSpec(f"outside-{name}-{i}", "outside", {name: 1.0})
+
+
+def _unnamed() -> Iterator[CaseSpec]:
+    """As `benchmarks.trace.discover` has them, of which each is of kind `outside`."""
+    for i in count():
+        for size in SIZES[::-1]:
+            for name in UNNAMED:
+                case = f"outside-{name}-{size:g}" + (f"-{i}" if i else "")
+                yield CaseSpec(case, "outside", {name: size})
 
 
 def _noises() -> Iterator[CaseSpec]:

@@ -9,7 +9,6 @@ and which effects are worth a fit.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -26,7 +25,6 @@ from hydrojax.identify.estimation.columns import (
     basis,
     filled,
     slot_names,
-    thinned,
 )
 from hydrojax.identify.estimation.drive import SpoolPath
 from hydrojax.identify.estimation.pieces import Span, at_once, in_pieces
@@ -140,8 +138,18 @@ def descend(
 
 
 def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
-    """The balances at some values, along those of `free` that act on the pressures."""
-    free = problem.side(free, True)
+    """The balances at some values, along those of `free` that act on the pressures; the
+    problem keeps them.
+    """
+    free = tuple(problem.side(free, True))
+    key = values.tobytes(), free
+    if key not in problem.balances:
+        problem.balances[key] = _balance_along(problem, values, free)
+    return problem.balances[key]
+
+
+def _balance_along(problem: Problem, values: Values, free: tuple[str, ...]) -> Linear:
+    """The balances at some values, along what acts on the pressures."""
     slots = (problem.most_slots(free)[0], 0)
     model, at = problem.model.acting(values, free)
     directions = basis(model, free, slots).hydraulic
@@ -163,18 +171,11 @@ def balance_at(problem: Problem, values: Values, free: Sequence[str]) -> Linear:
     return Linear.of(problem, values, columns, gram)
 
 
-def in_brief(problem: Problem) -> Problem:
-    """The problem on as many windows as balances are fitted on."""
-    ticks = problem.batch.windows.u.shape[1]
-    most = max(problem.criteria.balance_ticks // ticks, 1)
-    return replace(problem, batch=thinned(problem.batch, most))
-
-
 def balanced(problem: Problem, values: Values, free: Sequence[str]) -> Values:
     """The values at which the balances fit best along `free`, or those given if there
     a replay is nearer to the measured pressures.
     """
-    few = in_brief(problem)
+    few = problem.brief
     evaluate = partial(balance_at, few)
     at = descend(few, evaluate, evaluate(values, free), free, BASE_STEPS)
     noise = np.asarray(problem.batch.noise)

@@ -124,6 +124,20 @@ def fit_force(
     return fit_jointly(problem, values, free, weights)
 
 
+def fit_on(
+    problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
+) -> tuple[Problem, FitPoint]:
+    """Fit everything free to the end, from where a fit to some of the windows, or one
+    that did not go as far, has led: all at once, each channel at the weight it earns
+    there. Its hydraulics need not be fitted by themselves again.
+    """
+    problem = replace(problem, batch=problem.started(values))
+    rms = problem.rms(problem.errors_at(values))
+    noise = np.asarray(problem.batch.noise)
+    weights = reweighted(noise, rms, problem.criteria.reweighted_above)
+    return fit_jointly(problem, values, free, weights)
+
+
 def fit_jointly(
     problem: Problem,
     values: Float[np.ndarray, "n"],

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +23,7 @@ from hydrojax.identify.estimation.columns import (
     filled,
     room_of,
     slot_names,
+    thinned,
 )
 from hydrojax.identify.estimation.coupled import agreed, stretched
 from hydrojax.identify.estimation.drive import SpoolPath
@@ -70,7 +73,8 @@ class Problem:
     `symmetric` holds k_cp and k_cn equal, for logs that do not distinguish a difference
     of the two from an offset k_0. `known` is what other logs give, in place of priors;
     `criteria` the thresholds of whatever is decided on it, `least` the size of logs
-    that its programs are to have room for.
+    that its programs are to have room for. `balances` keeps what `balance_at` gave:
+    searches of several kinds begin alike.
     """
 
     model: ParametricRig
@@ -89,6 +93,9 @@ class Problem:
         default_factory=dict, init=False, repr=False, compare=False
     )
     _common: Store = field(default_factory=dict, init=False, repr=False, compare=False)
+    balances: dict[tuple[bytes, tuple[str, ...]], Any] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(
@@ -112,6 +119,13 @@ class Problem:
             criteria=criteria,
             least=room_of(batch),
         )
+
+    @cached_property
+    def brief(self) -> Problem:
+        """The problem on as many windows as balances are fitted on."""
+        ticks = self.batch.windows.u.shape[1]
+        most = max(self.criteria.balance_ticks // ticks, 1)
+        return replace(self, batch=thinned(self.batch, most))
 
     def slots(self, free: Sequence[str]) -> tuple[int, int]:
         """Columns, hydraulic and other, of the program that fits these parameters."""

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from hydrojax.identify.estimation.balance import balance_at, descend, in_brief
+from hydrojax.identify.estimation.balance import balance_at, descend
 from hydrojax.identify.tracing.grids import (
     Search,
     Values,
@@ -33,7 +33,7 @@ def in_balances(
     steps: int,
 ) -> Search | None:
     """Effects that act on the pressures, where these are measured."""
-    few = in_brief(state.problem)
+    few = state.problem.brief
     upstream = {
         name: [*shape_starts(e), *nonlocal_starts(e)]
         for name, e in effects.items()
@@ -87,7 +87,7 @@ def elsewhere(state: Tracing) -> Values | None:
     balances lead with the rig's own parameters back at their starts, if to plainly less
     than from where they are.
     """
-    own, few = state.criteria, in_brief(state.problem)
+    own, few = state.criteria, state.problem.brief
     if not few.sees_pressures:
         return None
     evaluate = partial(balance_at, few)

@@ -20,7 +20,6 @@ from hydrojax.identify.estimation.balance import (
     balance_at,
     balanced,
     descend,
-    in_brief,
 )
 from hydrojax.identify.estimation.columns import basis, filled, thinned
 from hydrojax.identify.estimation.fit import FitPoint, fit_pressures
@@ -221,7 +220,7 @@ def test_as_many_effects_as_there_are_find_room(machine):
         room = problem.slots(free)
         assert room[0] >= len(hydraulic)
         assert room[1] >= len(free) - len(hydraulic)
-    at = balance_at(in_brief(problem), state.point.values, hydraulic)
+    at = balance_at(problem.brief, state.point.values, hydraulic)
     assert np.all(np.isfinite(at.gram))
 
 
@@ -294,7 +293,7 @@ def test_an_effect_is_not_credited_with_what_own_parameters_do(machine):
     problem, free = state.problem, state.free
     far = placed(problem, state.point.values, {n: problem.free[n].lower for n in free})
     state = replace(state, point=replace(state.point, values=far))
-    few = in_brief(problem)
+    few = problem.brief
     there = balance_at(few, far, free)
     effects = {name: state.effects[name]}
     search = in_balances(state, effects, bases(state), 1)

@@ -255,7 +255,9 @@ def test_some_windows_are_taken_where_that_is_much_less_work(leaking):
 
 @pytest.mark.slow
 def test_what_is_found_on_some_windows_is_fitted_to_all(leaking):
-    """The parameters come out where a fit of all windows has them, from elsewhere."""
+    """It leaves what a fit of all windows leaves that begins elsewhere, from values by
+    which more is left.
+    """
     problem, check, free, effects = api._problems(leaking, [MISSING, OTHER])
     own = replace(problem.criteria, short_windows=len(problem.batch.P_0) // 3)
     few = in_short(replace(problem, criteria=own))
@@ -267,11 +269,18 @@ def test_what_is_found_on_some_windows_is_fitted_to_all(leaking):
     rms = check.rms(check.errors_at(whole.point.values))
     assert np.all((rms <= 1.1 * whole.noise)[np.isfinite(whole.noise)])
     _, direct = fit_all(problem, problem.initial_values(), whole.free)
+    seen = np.isfinite(whole.noise)
+
+    def left(values):
+        errors = problem.errors_at(values)[:, seen]
+        return float(np.sum(errors / whole.noise[seen] ** 2))
+
+    assert left(whole.point.values) == pytest.approx(left(direct.values), rel=1e-5)
+    assert left(found.point.values) > (1 + 1e-4) * left(direct.values)
     index = [problem.model.names.index(n) for n in problem.side(free, True)]
     np.testing.assert_allclose(
-        whole.point.values[index], direct.values[index], rtol=1e-3
+        whole.point.values[index], direct.values[index], rtol=5e-3
     )
-    assert np.any(np.abs(found.point.values[index] / direct.values[index] - 1) > 1e-3)
     assert api._on_all(problem, whole) is whole
     # What chance put beside it on some windows is not needed on all.
     none = np.full(3, np.nan)
