@@ -44,9 +44,7 @@ VALVE: dict[str, dict[str, Callable[[np.ndarray, E], np.ndarray]]] = {
     "pressure_null": {"head_P_s": lambda P, e: e["u_0"] * (P / 14e6 - 1)},
     "warming_valve": {"through_t": lambda t, e: -e["a"] * np.expm1(-t / e["tau"])},
 }
-"""Flows that are the valve's own, of a spool elsewhere or an edge of another size: over
-the mean of the edges' coefficients.
-"""
+"""What the valve does, of a spool elsewhere (V) or edges of another size (a share)."""
 
 CURVES: dict[str, dict[str, Callable[[np.ndarray, E], np.ndarray]]] = {
     "stribeck": {"level_v": lambda v, e: e["k_st"] * _bell(v, e["v_s"])},
@@ -80,6 +78,8 @@ CURVES: dict[str, dict[str, Callable[[np.ndarray, E], np.ndarray]]] = {
     "hardening_spring": {"force_x": lambda x, e: -e["k"] * x**3},
     "tether_drag": {"force_v": lambda v, e: -e["c"] * np.abs(v) * v},
     "pump_shake": {"force_t": lambda t, e: e["f"] * np.sin(2 * np.pi * e["hertz"] * t)},
+    "bent_bridge": {"force_F": lambda F, e: e["c"] * np.abs(F) * F},
+    "loadcell_gain": {"force_F": lambda F, e: e["eps"] * F},
     "warming_cell": {"force_t": lambda t, e: -e["b"] * np.expm1(-t / e["tau"])},
     "rolling_seal": {"hysteresis_w_300um": lambda w, e: e["f"] * (w / e["reach"]) ** 3},
     "external_leakage": {"flow_P": lambda P, e: -e["c_el"] * (P - P_R)},
@@ -119,8 +119,7 @@ def laws(name: str, e: E, rig: Mapping[str, float]) -> dict[str, Law]:
     """The truth as a curve, by the names of the terms that can be it; SI.
 
     What is a share of the Coulomb level is a curve in N only if both directions have
-    one level, and what the valve does is one only if all edges have one coefficient:
-    the mean of them stands for it.
+    one level: the mean of them stands for it.
     """
     of = {f"free_{term}": law for term, law in CURVES.get(name, {}).items()}
     out: dict[str, Law] = {n: lambda s, law=law: law(s, e) for n, law in of.items()}
@@ -129,7 +128,6 @@ def laws(name: str, e: E, rig: Mapping[str, float]) -> dict[str, Law]:
         level = (rig["k_cp"] + rig["k_cn"]) / 2
         out[f"free_level_per_level_{signal}"] = lambda s: share(s, e)
         out[f"free_level_{signal}"] = lambda s: level * share(s, e)
-    edges = float(np.mean([rig[c] for c in ("c_p1", "c_n1", "c_p2", "c_n2")]))
     for term, law in VALVE.get(name, {}).items():
-        out[f"free_flow_per_{term}"] = lambda s, law=law: edges * law(s, e)
+        out[f"free_flow_per_{term}"] = lambda s, law=law: law(s, e)
     return out

@@ -23,6 +23,8 @@ class Sliding(NamedTuple):
     `slips` are the deflections (m) of what gives friction its hysteresis, `since` and
     `way` the time (s) and the way (m) since friction turned, and `ages` the ages (s) of
     the contact for the ways in `plant.turned.AGES`, where an effect asks for them.
+    `F` is the output force (N) without what adds to it, which `Rig.output_force` fills
+    in for effects at the load cell.
     """
 
     t: Float[Array, "*batch"]
@@ -41,6 +43,7 @@ class Sliding(NamedTuple):
     since: Float[Array, "*batch"] | float = 0.0
     way: Float[Array, "*batch"] | float = 0.0
     ages: tuple[Float[Array, "*batch"] | float, ...] = ()
+    F: Float[Array, "*batch"] | float = 0.0
 
 
 class Theta(NamedTuple):

@@ -237,6 +237,7 @@ class Rig(eqx.Module):
         f_c = self.mechanics.sliding_force(at, self.level, self.friction)
         P = self.drive_force(at.P_a1, at.P_a2)
         F = self.mechanics.output_force(P, f_c, self.presliding(at.speed))
+        at = at._replace(F=F)
         F = F + sum(e.force(at) for e in self.force)
         held = zip(self.hysteresis, at.slips, strict=True)
         return F - sum(e.force(w) for e, w in held)

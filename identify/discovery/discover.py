@@ -102,6 +102,7 @@ def samples_of(data: Data, rig: Rig) -> dict[str, Float[np.ndarray, "rows"]]:
     remembered = deflections(data.motion)
     out |= {deflection_name(slip): within(y) for slip, y in remembered}
     if data.driven_by == "u" or np.ptp(rows(w.F)) > 0:
+        out["F"] = rows(w.F)
         out |= {"P_mean": (P_1 + P_2) / 2, "P_net": P_2 - P_1}
         if data.driven_by in ("u", "pressures"):
             out |= {"P_a1": P_1, "P_a2": P_2}
@@ -156,7 +157,8 @@ def searched(
     start = begun(case, outcome, progress)
     rig = start.state.problem.model.rig
     fit, check = (samples_of(data, rig) for data in (case.fit, case.check))
-    laid = laid_over({name: own for name, own in fit.items() if name in check})
+    both = {name: own for name, own in fit.items() if name in check}
+    laid = laid_over(both, start.state.named)
     end = search(start, laid)
     curves = found_curves(end, start, case, fit, check)
     if not curves:

@@ -36,6 +36,7 @@ METHODS = {
 SIGNALS = {
     **{name: f"at.{name}" for name in ("v", "x", "a", "t", "z", "since", "way")},
     **{f"age_{1e6 * D:.0f}um": f"at.ages[{i}]" for i, D in enumerate(AGES)},
+    "F": "at.F",
     "u": "u",
     "back": "w",
     "behind": "behind",
@@ -329,16 +330,22 @@ def _jax(code: str) -> str:
     return code.replace("s_0", "self.s_0").replace(" pi ", " jnp.pi ")
 
 
-HEADS = textwrap.indent(
-    f"""\
+def _heads(edges: Sequence[float]) -> list[str]:
+    """By how much flows rise with the command, as `free_form.heads` has it."""
+    c_p1, c_n1, c_p2, c_n2 = (f"{c:.6g}" for c in edges)
+    text = f"""\
 drops = (
     jnp.where(spool > 0, at.P_s - at.P_a1, at.P_a1 - at.P_r),
     jnp.where(spool > 0, at.P_a2 - at.P_r, at.P_s - at.P_a2),
 )
-heads = [d * (d * d + {ROUNDED!r}) ** -0.25 for d in drops]""",
-    " " * 8,
-).splitlines()
-"""Roots of the drops over the edges that are open, as `free_form.heads` has them."""
+edges = (
+    jnp.where(spool > 0, {c_p1}, {c_n1}),
+    jnp.where(spool > 0, {c_n2}, {c_p2}),
+)
+heads = [
+    c * d * (d * d + {ROUNDED!r}) ** -0.25 for c, d in zip(edges, drops, strict=True)
+]"""
+    return textwrap.indent(text, " " * 8).splitlines()
 
 
 def _flow(term: Term) -> list[str]:
@@ -351,7 +358,7 @@ def _flow(term: Term) -> list[str]:
             "        spool = way[0] if len(way) == 1 else way[0] - way[1]",
         ]
     if through:
-        out += HEADS
+        out += _heads(term.edges)
     each = []
     for i, share in enumerate(term.share):
         factor = ""

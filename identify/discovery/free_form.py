@@ -97,7 +97,7 @@ class _OnPiston(FreeForm):
 
     of_turns = False
 
-    def at(self, at: Any, *more: Array) -> Array:
+    def at(self, at: Any, *more: Array | float) -> Array:
         difference = at.P_a2 - at.P_a1
         mean = (at.P_a1 + at.P_a2) / 2
         pressures = (mean, difference, at.P_a1, at.P_a2)
@@ -146,20 +146,23 @@ class FreeHysteresis(FreeForm, HysteresisForce):
 
 
 class FreeForce(_OnPiston, ForceEffect):
-    """A curve added to the force at the load cell."""
+    """A curve added to the force at the load cell, over that force too."""
 
     name = "free_force"
 
     def force(self, at):
         """The curve as a force, N."""
-        return self.at(at)
+        return self.at(at, at.F)
 
 
 class FreeFlow(FreeForm, FlowEffect):
-    """A curve of flow into the chambers, `share` of it into each."""
+    """A curve of flow into the chambers, `share` of it into each. Over `edges`, the
+    valve's coefficients in the order of `EDGES`, it is a curve of what the valve does.
+    """
 
     name = "free_flow"
     share: Float[Array, "2"] = _array([1.0, 1.0])
+    edges: Float[Array, "4"] = _array([1.0] * 4)
 
     def flow(self, at):
         """Its flows into chambers 1 and 2, m^3/s."""
@@ -170,25 +173,31 @@ class FreeFlow(FreeForm, FlowEffect):
         own = ((at.P_a1, into, out), (at.P_a2, out, into))
         flows = []
         for share, head, (P, *ways) in zip(
-            self.share, heads(at, spool), own, strict=True
+            self.share, heads(at, spool, self.edges), own, strict=True
         ):
             signals = (P, *both, *ways, at.P_s, at.t, head, spool * head)
             flows.append(share * self.along(signals))
         return tuple(flows)
 
 
+EDGES = ("c_p1", "c_n1", "c_p2", "c_n2")
+"""The valve's coefficients."""
+
+
 def heads(
-    at: Point, spool: Float[Array, "*batch"]
+    at: Point, spool: Float[Array, "*batch"], edges: Float[Array, "4"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """By how much the flows into chambers 1 and 2 rise with the command, over the
-    valve's coefficient: roots of the drops over the edges that are open, Pa^0.5.
+    """By how much the flows into chambers 1 and 2 rise with the command, m^3/(s {u}):
+    coefficients times roots of the drops over the edges that are open.
     """
+    c_p1, c_n1, c_p2, c_n2 = edges
 
-    def root(drop):
-        return drop * (drop * drop + ROUNDED) ** -0.25
+    def root(c, drop):
+        return c * drop * (drop * drop + ROUNDED) ** -0.25
 
-    first = jnp.where(spool > 0, root(at.P_s - at.P_a1), root(at.P_a1 - at.P_r))
-    second = jnp.where(spool > 0, root(at.P_a2 - at.P_r), root(at.P_s - at.P_a2))
+    up = spool > 0
+    first = jnp.where(up, root(c_p1, at.P_s - at.P_a1), root(c_n1, at.P_a1 - at.P_r))
+    second = jnp.where(up, root(c_n2, at.P_a2 - at.P_r), root(c_p2, at.P_s - at.P_a2))
     return first, -second
 
 
@@ -253,6 +262,7 @@ class Term:
         times: index of the factor among 1 and the signals of the place.
         size: a typical value of the curve, SI.
         share: of a flow, by chamber.
+        edges: the valve's coefficients (`EDGES`), where the curve is what that does.
         slip: of what has hysteresis, the deflection at which it slides, m or {u}.
         tau: of what comes late, its time constant, s.
     """
@@ -266,6 +276,7 @@ class Term:
     factor: str = ""
     times: int = 0
     share: tuple[float, float] = (1.0, 1.0)
+    edges: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     slip: float = 0.0
     tau: float = 0.0
 
@@ -308,7 +319,7 @@ class Term:
         """The effect, absent, over these knots."""
         own: dict[str, Array] = {}
         if self.form is FreeFlow:
-            own = {"share": jnp.asarray(self.share)}
+            own = {"share": jnp.asarray(self.share), "edges": jnp.asarray(self.edges)}
         if self.slip:
             own = {"slip": jnp.asarray(self.slip)}
         if self.tau:
@@ -356,8 +367,8 @@ def _piston(
 
 
 FACTORS = {
-    "head": "by how much the flow rises with the command, over the valve's coefficient",
-    "through": "the flow through the valve, over its coefficient",
+    "head": "by how much the flow rises with the command",
+    "through": "the flow through the valve",
 }
 """What multiplies a curve, where its name does not say it."""
 
@@ -411,8 +422,8 @@ TERMS: tuple[Term, ...] = (
         Term(FreeFlow, signal, which, unit, of, size, factor, times)
         for signal, which, unit in (("t", 8, "s"), ("P_s", 7, "Pa"))
         for of, size, factor, times in (
-            ("m^3/(s*Pa^0.5)", 1e-11, "head", 10),
-            ("m^3/(s*Pa^0.5*{u})", 1e-10, "through", 11),
+            ("{u}", 1e-2, "head", 10),
+            ("1", 0.1, "through", 11),
         )
     ),
     Term(FreeCompliance, "P", 0, "Pa", "1/Pa", 1e-10),
@@ -425,6 +436,7 @@ TERMS: tuple[Term, ...] = (
     *_piston(FreeFriction, ("P_mean", "x", "t"), "N*s/m", 1e3, "v"),
     *(Term(FreeHysteresis, "w", 0, "m", "N", 100.0, slip=slip) for slip in SLIPS),
     *_piston(FreeForce, ("x", "v", "a", "P_net", "t")),
+    Term(FreeForce, "F", 9, "N", "N", 100.0),
 )
 """What is searched, all of it counted in the family-wise p-values."""
 

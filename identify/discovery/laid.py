@@ -10,7 +10,15 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.effects.splines import knots_over
-from hydrojax.identify.discovery.free_form import COUNT, PISTON, TERMS, FreeForm, Term
+from hydrojax.identify.discovery.free_form import (
+    COUNT,
+    EDGES,
+    FACTORS,
+    PISTON,
+    TERMS,
+    FreeForm,
+    Term,
+)
 from hydrojax.identify.estimation.problem import Problem
 
 Samples = Mapping[str, Float[np.ndarray, "rows"]]
@@ -25,12 +33,14 @@ class Laid:
     effect: FreeForm
 
 
-def laid_over(samples: Samples) -> list[Laid]:
+def laid_over(samples: Samples, values: Mapping[str, float]) -> list[Laid]:
     """Every term whose signal the logs move, and whose factor they have, over their
-    range.
+    range; what a valve does by its coefficients among the rig's `values`.
     """
-    out = []
+    out, edges = [], tuple(values.get(name, 1.0) for name in EDGES)
     for term in TERMS:
+        if term.factor in FACTORS:
+            term = replace(term, edges=edges)
         if term.factor in PISTON and term.factor not in samples:
             continue
         rows = samples.get(term.sampled)

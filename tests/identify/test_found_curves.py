@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
@@ -38,10 +39,14 @@ from hydrojax.identify.results.outcome import (
     Parameter,
 )
 from hydrojax.identify.results.report_json import report_json
+from hydrojax.paper import experiments
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding
 from hydrojax.report.schema import report_schema
+from hydrojax.rigfile.build import build_rig
+from hydrojax.rigfile.schema import RigFile
 
+REFERENCE = Path(experiments.__file__).with_name("reference.toml")
 TERM = {term.name: term for term in TERMS}
 FORM = {form.name: form for form in FORMS}
 SPANS = {"v": (-0.02, 0.02), "P": (1e6, 9e6), "x": (-0.01, 0.01), "w": (-1e-3, 1e-3)}
@@ -286,7 +291,8 @@ def test_a_curve_of_what_the_command_did_is_a_channel(
 ):
     """As it is searched and as it is written: by loops of plain Python."""
     span = np.linspace(-1.0, 1.0, 301)
-    made = replace(law("free_level_v"), term=TERM[term], knots=knots_over(span, 14))
+    own = replace(TERM[term], edges=COEFFICIENTS)
+    made = replace(law("free_level_v"), term=own, knots=knots_over(span, 14))
     effect: Any
     if kind == "written":
         effect = written(tmp_path, found(made, "none"))(amount=2.0)
@@ -320,11 +326,19 @@ def test_a_written_effect_says_where_it_is_a_guess(tmp_path, vocabulary):
     assert "on behind, how far a lag of 30 ms is behind the command, from -0.02" in said
     text = effect_source(replace(made, term=TERM["free_flow_per_through_t"]), "wears")
     said = " ".join(text.split())
-    assert "through is the flow through the valve, over its coefficient." in said
+    assert "through is the flow through the valve." in said
 
 
-HEADS = {0.5: (11e6**0.5, -(4.75e6**0.5)), -0.5: (2.75e6**0.5, -(9e6**0.5))}
-"""By command, roots of what drops at 3 and 5 MPa over the edges that are open."""
+COEFFICIENTS = (2.1e-9, 1.3e-9, 2.6e-9, 1.7e-9)
+"""Of the edges: supply to chamber 1, 1 to return, supply to 2, 2 to return."""
+
+HEADS = {
+    0.5: (2.1e-9 * 11e6**0.5, -1.7e-9 * 4.75e6**0.5),
+    -0.5: (1.3e-9 * 2.75e6**0.5, -2.6e-9 * 9e6**0.5),
+}
+"""By command, coefficients times roots of what drops at 3 and 5 MPa over the edges that
+are open.
+"""
 
 
 @pytest.mark.parametrize("kind", ["written", "searched"])
@@ -345,7 +359,8 @@ def test_a_flow_over_any_signal_is_an_effect(
 ):
     """As it is searched and as it is written: the signal stands at 0.3."""
     span = np.linspace(-1.0, 1.0, 301) * (5e7 if term.endswith("P_s") else 1.0)
-    made = replace(law("free_level_v"), term=TERM[term], knots=knots_over(span, 14))
+    own = replace(TERM[term], edges=COEFFICIENTS)
+    made = replace(law("free_level_v"), term=own, knots=knots_over(span, 14))
     effect: Any
     if kind == "written":
         effect = written(tmp_path, found(made, "none"))(amount=1.0)
@@ -356,6 +371,26 @@ def test_a_flow_over_any_signal_is_an_effect(
     s = 14e6 if term.endswith("P_s") else 0.3
     want = BSpline(made.knots, made.coefficients, 3)(s) * np.array(times(spool))
     np.testing.assert_allclose(effect.flow(at), want, rtol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["written", "searched"])
+def test_a_load_cell_that_bends_is_an_effect(kind, tmp_path, vocabulary):
+    """A curve over the force that it is added to: what the cell then feels."""
+    span = np.linspace(-400.0, 400.0, 301)
+    term = TERM["free_force_F"]
+    made = replace(law("free_force_x"), term=term, knots=knots_over(span, 14))
+    if kind == "written":
+        effect = written(tmp_path, found(made, "none"))(amount=1.0)
+    else:
+        c = enumerate(made.coefficients / term.size)
+        effect = replace(term.laid(made.knots), **{f"c_{i}": v for i, v in c})
+    rig, bent = (build_rig(RigFile.load(REFERENCE), (), own) for own in ((), [effect]))
+    at = sliding(v=0.01, speed=0.01, z=1e-5, P_a1=4.2e6, P_a2=4.6e6)._replace(slips=())
+    F = float(rig.output_force(at))
+    assert 50 < abs(F) < 350
+    want = F + BSpline(made.knots, made.coefficients, 3)(F)
+    assert abs(want - F) > 5
+    np.testing.assert_allclose(bent.output_force(at), want, rtol=1e-5)
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)

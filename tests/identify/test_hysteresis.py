@@ -90,6 +90,6 @@ def test_no_curve_is_over_what_stands_for_the_output_force(measured):
     samples = samples_of(case.fit, build_rig(case.spec))
     assert {"v", "x", "z"} < set(samples)
     assert ("P_net" in samples) is measured and ("P_mean" in samples) is measured
-    terms = [one.term for one in laid_over(samples)]
+    terms = [one.term for one in laid_over(samples, {})]
     signals = {name for t in terms for name in (t.signal, t.factor)}
     assert bool({"P_mean", "P_net"} & signals) is measured
