@@ -14,7 +14,12 @@ from hydrojax.identify.checking.mended import Findings
 from hydrojax.identify.checking.path import least
 from hydrojax.identify.checking.words import late_position, with_delay
 from hydrojax.identify.estimation.columns import batch_of
-from hydrojax.identify.estimation.fit import FitPoint, fit_jointly, in_short
+from hydrojax.identify.estimation.fit import (
+    FitPoint,
+    fit_jointly,
+    fit_pressures,
+    in_short,
+)
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log, brought_forward
@@ -56,7 +61,11 @@ def with_delay_replayed(
         return found
     progress(f"find the delay of {late.input} by replays")
     step = STEP * _tick(case)
-    error = _Error(case, problem, point, free, late.input, point.weights)
+
+    def refitted(moved: Problem) -> np.ndarray:
+        return fit_jointly(moved, point.values, free, point.weights)[1].values
+
+    error = _Error(case, problem, refitted, late.input, point.weights)
     moves = _lowest(lambda moves: error(moves * step))
     if moves is None or abs(moves) < SAME:
         return found
@@ -88,7 +97,14 @@ def with_late_position(
     name = case.read_logs[0].motion
     progress(f"see whether {name} is late")
     tick, weights = _tick(case), np.where(seen, noise, np.inf)
-    error = _Error(case, problem, state.point, state.free, name, weights)
+
+    def refitted(moved: Problem) -> np.ndarray:
+        # As far as one delay has to be told from another.
+        return fit_pressures(
+            moved, state.point.values, state.free, own.enough_in_search
+        )[1]
+
+    error = _Error(case, problem, refitted, name, weights)
     given = best = error(0.0)
     late = 0.0
     while (ticks := max(2 * late, 0.5)) * tick <= LATEST:
@@ -115,8 +131,7 @@ class _Error:
 
     case: Case
     problem: Problem
-    point: FitPoint
-    free: Sequence[str]
+    refitted: Callable[[Problem], Float[np.ndarray, "n"]]
     name: str
     weights: Float[np.ndarray, "3"]
 
@@ -124,10 +139,8 @@ class _Error:
         logs = [_later(log, self.name, seconds) for log in self.case.read_logs]
         data = self.case.preparation.data(logs)
         moved = in_short(replace(self.problem, batch=batch_of(data)))
-        point = self.point
-        moved, at = fit_jointly(moved, point.values, tuple(self.free), point.weights)
         seen = np.isfinite(self.weights)
-        left = moved.rms(moved.errors_at(at.values)) / self.weights
+        left = moved.rms(moved.errors_at(self.refitted(moved))) / self.weights
         return float(np.sum(left[seen] ** 2))
 
 

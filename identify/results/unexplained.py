@@ -50,7 +50,7 @@ def unexplained(
         Dependence(n, *dependence(residual, s, criteria)) for n, s in signals.items()
     ]
     tests = tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
-    line, height, chance = spectral_line(residual, tick)
+    line, height, chance = spectral_line(residual, tick, signals.get("v"))
     stands_out = chance < criteria.level and height > criteria.line
     clear = max(
         (d for d in tests if d.share > criteria.correlates), key=_share, default=None
@@ -69,7 +69,8 @@ def unexplained(
         follows, where = _swells(residual, noise, signals, criteria)
         share = f"{100 * criteria.correlates:.0f} % of its variance"
         larger = f"but it is larger where {follows} is {where}"
-        rest = larger if where else "and it has no spectral line"
+        lowest = (EDGE + 1) / (residual.shape[1] * tick)
+        rest = larger if where else f"and it has no spectral line above {lowest:.2g} Hz"
         description = f"{size}; no signal of the log goes with {share}, {rest}"
     where = _in_few(residual, noise, places, criteria)
     return Unexplained(
@@ -211,21 +212,45 @@ background."""
 
 
 def spectral_line(
-    residual: Float[np.ndarray, "windows ticks"], tick: float
+    residual: Float[np.ndarray, "windows ticks"],
+    tick: float,
+    v: Float[np.ndarray, "windows ticks"] | None = None,
 ) -> tuple[float, float, float]:
     """The line that stands out most from the residual's own smooth spectrum.
 
     The residual is detrended by window and whitened by real poles, which take a drift
     or a random walk but no line. Each bin of the mean spectrum is then compared with
     the bins around it, and the logarithm of the ratio with its own scatter over the
-    spectrum. The bins at its ends are no candidates.
+    spectrum. The bins at its ends are no candidates. Where the motion's speed `v` is
+    given, only by how much more the residual stands out there counts: what a rig is
+    moved with, and where that ends, is no line of its own.
 
     Returns:
         Its frequency, Hz; its height over the background; and the chance that any bin
         of a smooth spectrum stands out so far.
     """
+    f, above = _above_background(residual, tick)
+    if not f.size:
+        return 0.0, 1.0, 1.0
+    if v is not None and np.ptp(v) > 0:
+        of_motion = np.interp(f, *_above_background(v, tick))
+        above = above - np.maximum(of_motion, 0.0)
+    middle = np.median(above)
+    scatter = 1.4826 * np.median(np.abs(above - middle))
+    top = 1 + int(np.argmax(above[1:-1]))
+    far = stats.norm.sf((above[top] - middle) / max(scatter, 1e-12))
+    chance = -np.expm1((f.size - 2) * np.log1p(-min(far, 1 - 1e-12)))
+    return float(f[top]), float(np.exp(above[top])), float(chance)
+
+
+def _above_background(
+    y: Float[np.ndarray, "windows ticks"], tick: float
+) -> tuple[Float[np.ndarray, "bins"], Float[np.ndarray, "bins"]]:
+    """Frequencies, Hz, and the logarithm of by how much the mean spectrum of some
+    windows, whitened, lies there above that of the bins around; none of few ticks.
+    """
     f, power = signal.periodogram(
-        _whitened(signal.detrend(residual, axis=-1)),
+        _whitened(signal.detrend(y, axis=-1)),
         1 / tick,
         window="hann",
         detrend="linear",
@@ -233,7 +258,7 @@ def spectral_line(
     )
     kept = np.arange(EDGE, f.size - EDGE)
     if kept.size < 2 * AROUND:
-        return 0.0, 1.0, 1.0
+        return np.zeros(0), np.zeros(0)
     level = np.log(np.maximum(power.mean(axis=0), 1e-300))[kept]
     apart = np.abs(kept[:, None] - kept)
     apart = np.where(apart > SKIRT, apart, kept.size)
@@ -241,13 +266,7 @@ def spectral_line(
     off, around = near - np.arange(kept.size)[:, None], level[near]
     lean = off - off.mean(axis=1, keepdims=True)
     slope = np.sum(lean * around, axis=1) / np.sum(lean**2, axis=1)
-    above = level - np.median(around - slope[:, None] * off, axis=1)
-    middle = np.median(above)
-    scatter = 1.4826 * np.median(np.abs(above - middle))
-    top = 1 + int(np.argmax(above[1:-1]))
-    far = stats.norm.sf((above[top] - middle) / max(scatter, 1e-12))
-    chance = -np.expm1((kept.size - 2) * np.log1p(-min(far, 1 - 1e-12)))
-    return float(f[kept[top]]), float(np.exp(above[top])), float(chance)
+    return f[kept], level - np.median(around - slope[:, None] * off, axis=1)
 
 
 def _whitened(

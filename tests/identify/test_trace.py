@@ -580,6 +580,27 @@ def test_a_line_is_found_on_a_random_walk(hertz):
     assert height > 3 and chance < 1e-6
 
 
+def moved(seed: int) -> np.ndarray:
+    """What holds nothing above 18 Hz but noise: where it ends a spectrum falls off."""
+    rng, t = np.random.default_rng(seed), 1e-3 * np.arange(46 * 250)
+    f, phase = rng.uniform(4, 18, 80), rng.uniform(0, 2 * np.pi, 80)
+    wave = np.sin(2 * np.pi * f[:, None] * t + phase[:, None]).sum(axis=0)
+    return wave.reshape(46, 250) + 0.05 * white(seed)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_where_the_motion_ends_is_no_line(seed):
+    """But a line is one, whatever the rig is moved with."""
+    residual, v = moved(seed), moved(seed + 50)
+    assert spectral_line(residual, 1e-3)[1] > 12
+    assert spectral_line(residual, 1e-3, v)[1] < 6
+    t = 1e-3 * np.arange(46 * 250).reshape(46, 250)
+    hummed = residual + np.sin(2 * np.pi * 50 * t)
+    found, height, chance = spectral_line(hummed, 1e-3, v)
+    assert found == pytest.approx(50.0, abs=4.0)
+    assert height > 12 and chance < 1e-6
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_white_noise_goes_with_nothing(signals, seed):
     left = unexplained("P_a1", "Pa", 1e3, 3e3 * white(seed), signals, 1e-3)

@@ -89,6 +89,21 @@ def test_no_factor_is_blamed_that_a_balance_closes_less_well_with_than_the_runs(
     assert with_inputs(found, (sign,)).inputs == (sign,)
 
 
+@pytest.mark.parametrize(("over", "blamed"), [(1.05, True), (4.7, False)])
+def test_no_factor_is_blamed_whose_effect_leaves_the_force_above_its_noise(
+    over, blamed
+):
+    """A gain that stands for a drag by pressure takes much of it, and not the rest."""
+    gain = FoundEffect("loadcell_gain", {}, 0.0, {}, {}, ("area",), "F")
+    says, same = "area is 15 % too large", ("loadcell_gain",)
+    area = Finding("area", "factor", 0.87, 6.9, 4.1, "N", says, effects=same)
+    found = explained()
+    F = found.channels["F"]
+    left = {**found.channels, "F": replace(F, after=over * F.noise)}
+    found = replace(found, effects=(gain,), channels=left)
+    assert with_inputs(found, (area,)).inputs == ((area,) if blamed else ())
+
+
 @pytest.mark.parametrize(
     ("follows", "sensors", "after", "said"),
     [
