@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import signal, stats
 
 from hydrojax.identify.estimation.known import Known
@@ -68,10 +68,11 @@ def unexplained(
     else:
         follows, where = _swells(residual, noise, signals, criteria)
         share = f"{100 * criteria.correlates:.0f} % of its variance"
-        larger = f"but it is larger where {follows} is {where}"
-        lowest = (EDGE + 1) / (residual.shape[1] * tick)
-        rest = larger if where else f"and it has no spectral line above {lowest:.2g} Hz"
-        description = f"{size}; no signal of the log goes with {share}, {rest}"
+        rest = f", but it is larger where {follows} is {where}" if where else ""
+        if not where and _bins(residual.shape[1]).size:
+            lowest = (EDGE + 1) / (residual.shape[1] * tick)
+            rest = f", and it has no spectral line above {lowest:.2g} Hz"
+        description = f"{size}; no signal of the log goes with {share}{rest}"
     where = _in_few(residual, noise, places, criteria)
     return Unexplained(
         channel, excess, unit, follows, description + _said_of(where, len(residual)),
@@ -256,8 +257,9 @@ def _above_background(
         detrend="linear",
         axis=-1,
     )
-    kept = np.arange(EDGE, f.size - EDGE)
-    if kept.size < 2 * AROUND:
+    kept = _bins(y.shape[1])
+    kept = kept[kept < f.size - EDGE]
+    if not kept.size:
         return np.zeros(0), np.zeros(0)
     level = np.log(np.maximum(power.mean(axis=0), 1e-300))[kept]
     apart = np.abs(kept[:, None] - kept)
@@ -267,6 +269,12 @@ def _above_background(
     lean = off - off.mean(axis=1, keepdims=True)
     slope = np.sum(lean * around, axis=1) / np.sum(lean**2, axis=1)
     return f[kept], level - np.median(around - slope[:, None] * off, axis=1)
+
+
+def _bins(ticks: int) -> Int[np.ndarray, "bins"]:
+    """Bins of the spectrum of so many ticks that may hold a line; none of few ticks."""
+    kept = np.arange(EDGE, ticks // 2 + 1 - EDGE)
+    return kept if kept.size >= 2 * AROUND else kept[:0]
 
 
 def _whitened(

@@ -580,6 +580,14 @@ def test_a_line_is_found_on_a_random_walk(hertz):
     assert height > 3 and chance < 1e-6
 
 
+@pytest.mark.parametrize(("ticks", "said"), [(250, "above 16 Hz"), (25, "")])
+def test_a_line_is_denied_only_where_it_would_be_seen(ticks, said):
+    """Windows of a quarter of a second, at 1 kHz and at 100 Hz."""
+    residual = 3.0 * white(3)[:, :ticks]
+    left = unexplained("F", "N", 1.0, residual, {}, 0.25 / ticks)
+    assert left.description.endswith(f"no spectral line {said}" if said else "variance")
+
+
 def moved(seed: int) -> np.ndarray:
     """What holds nothing above 18 Hz but noise: where it ends a spectrum falls off."""
     rng, t = np.random.default_rng(seed), 1e-3 * np.arange(46 * 250)
