@@ -100,11 +100,15 @@ def _sorted(
     """Parameters inside their ranges; those at an end, with which; and those that the
     logs hardly show, which are inside wherever they stand.
     """
-    names = problem.model.names
+    names, own = problem.model.names, problem.criteria
     inside: list[str] = []
     ends: dict[str, str] = {}
-    shown = np.sqrt(np.sum(gram, axis=0).diagonal()[[names.index(n) for n in free]])
-    shown = shown >= problem.criteria.hardly_shown * np.max(shown, initial=0.0)
+    index = [names.index(n) for n in free]
+    shown = np.sqrt(np.sum(gram, axis=0).diagonal()[index])
+    reach = np.array([problem.free[n].upper - problem.free[n].lower for n in free])
+    across = shown * reach / problem.model.scale[index]
+    shown = shown >= own.hardly_shown * np.max(shown, initial=0.0)
+    shown |= across >= own.seen_across
     unseen = {n for n, seen in zip(free, shown, strict=True) if not seen}
     for name in free:
         value, f = point.values[names.index(name)], problem.free[name]

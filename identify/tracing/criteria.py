@@ -192,7 +192,10 @@ class Criteria:
     """Standard deviation given to such a direction, in units of the scales, 1."""
     hardly_shown: float = 1e-6
     """Root of a parameter's curvature, over the largest, below which the logs hardly
-    show it, 1."""
+    show it, 1: what is left there is rounding."""
+    seen_across: float = 1.0
+    """Standard deviations of the noise by which what is compared moves, as a parameter
+    crosses its range, from which the logs show it whatever they show of others, 1."""
     nearly_singular: float = 0.05
     """Smallest eigenvalue of the scaled curvature below which only a combination of
     parameters is identifiable, 1. `tests/identify`."""

@@ -1,4 +1,4 @@
-"""Standard deviations of parameters that a prior holds."""
+"""Standard deviations of parameters, and which of them the logs show."""
 
 from types import SimpleNamespace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hydrojax.identify.estimation.known import Free
-from hydrojax.identify.inference.uncertainty import _covariance
+from hydrojax.identify.inference.uncertainty import _covariance, _sorted
 from hydrojax.identify.tracing.criteria import Criteria
 
 
@@ -50,3 +50,21 @@ def test_a_prior_about_the_truth_gives_the_scatter_of_estimates():
         given.append(C[0, 0])
         found.append(at - truth)
     assert np.mean(given) == pytest.approx(np.var(found), rel=0.15)
+
+
+def test_one_steep_parameter_does_not_hide_what_logs_show_of_others():
+    """The second moves what is compared by 20 standard deviations of its noise across
+    its range, a ten-millionth of the first; the third by what rounding leaves.
+    """
+    slopes = np.array([1e8, 10.0, 1e-4])  # per scale
+    names = ["steep", "plain", "dead"]
+    problem = SimpleNamespace(
+        free={n: Free(0.0, -1.0, 1.0) for n in names},
+        model=SimpleNamespace(scale=np.ones(3), names=names),
+        criteria=Criteria(),
+    )
+    point = SimpleNamespace(values=np.array([0.2, 0.3, 1.0]))
+    gram = np.diag([*slopes**2, 1.0])[None]
+    inside, ends, unseen = _sorted(problem, point, names, gram)
+    assert unseen == {"dead"}
+    assert inside == names and not ends
