@@ -21,6 +21,11 @@ from hydrojax.identify.discovery.free_form import (
 )
 from hydrojax.identify.estimation.problem import Problem
 
+STRAIGHT = {"free_force_F": "loadcell_gain.eps"}
+"""Curves whose straight line a known effect is, with its strength: where that is in the
+model a fit would trade one for the other without end, and the curve is not laid.
+"""
+
 Samples = Mapping[str, Float[np.ndarray, "rows"]]
 """What the logs hold of each signal, by its name, SI."""
 
@@ -39,6 +44,8 @@ def laid_over(samples: Samples, values: Mapping[str, float]) -> list[Laid]:
     """
     out, edges = [], tuple(values.get(name, 1.0) for name in EDGES)
     for term in TERMS:
+        if STRAIGHT.get(term.name) in values:
+            continue
         if term.factor in FACTORS:
             term = replace(term, edges=edges)
         if term.factor in PISTON and term.factor not in samples:

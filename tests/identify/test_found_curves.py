@@ -29,6 +29,7 @@ from hydrojax.identify.discovery.effect_file import (
 )
 from hydrojax.identify.discovery.formula import FORMS, Formula
 from hydrojax.identify.discovery.free_form import TERMS, share_of_level
+from hydrojax.identify.discovery.laid import laid_over
 from hydrojax.identify.report.write import plot, result_html, write_report
 from hydrojax.identify.result import Result
 from hydrojax.identify.results.curve import FoundCurve
@@ -391,6 +392,17 @@ def test_a_load_cell_that_bends_is_an_effect(kind, tmp_path, vocabulary):
     want = F + BSpline(made.knots, made.coefficients, 3)(F)
     assert abs(want - F) > 5
     np.testing.assert_allclose(bent.output_force(at), want, rtol=1e-5)
+
+
+def test_a_bent_cell_is_not_looked_for_beside_a_gain():
+    """Of which its straight line is another name: a fit had the force's own negative."""
+    samples = {"F": np.linspace(-400.0, 400.0, 301), "x": np.linspace(0.0, 0.02, 301)}
+    names = [
+        {one.term.name for one in laid_over(samples, values)}
+        for values in ({}, {"loadcell_gain.eps": 0.14})
+    ]
+    assert names[0] - names[1] == {"free_force_F"}
+    assert "free_force_x" in names[1]
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)
