@@ -395,7 +395,7 @@ def test_a_load_cell_that_bends_is_an_effect(kind, tmp_path, vocabulary):
 
 
 def test_a_bent_cell_is_not_looked_for_beside_a_gain():
-    """Of which its straight line is another name: a fit had the force's own negative."""
+    """Its straight line is that gain: a fit had the force's own negative."""
     samples = {"F": np.linspace(-400.0, 400.0, 301), "x": np.linspace(0.0, 0.02, 301)}
     names = [
         {one.term.name for one in laid_over(samples, values)}
