@@ -157,7 +157,7 @@ class FreeForce(_OnPiston, ForceEffect):
 
 class FreeFlow(FreeForm, FlowEffect):
     """A curve of flow into the chambers, `share` of it into each. Over `edges`, the
-    valve's coefficients in the order of `EDGES`, it is a curve of what the valve does.
+    valve's c_p1, c_n1, c_p2 and c_n2, it is a curve of what the valve does.
     """
 
     name = "free_flow"
@@ -178,10 +178,6 @@ class FreeFlow(FreeForm, FlowEffect):
             signals = (P, *both, *ways, at.P_s, at.t, head, spool * head)
             flows.append(share * self.along(signals))
         return tuple(flows)
-
-
-EDGES = ("c_p1", "c_n1", "c_p2", "c_n2")
-"""The valve's coefficients."""
 
 
 def heads(
@@ -262,7 +258,7 @@ class Term:
         times: index of the factor among 1 and the signals of the place.
         size: a typical value of the curve, SI.
         share: of a flow, by chamber.
-        edges: the valve's coefficients (`EDGES`), where the curve is what that does.
+        edges: the valve's c_p1, c_n1, c_p2 and c_n2, where the curve is what that does.
         slip: of what has hysteresis, the deflection at which it slides, m or {u}.
         tau: of what comes late, its time constant, s.
     """

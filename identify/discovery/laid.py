@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.effects.splines import knots_over
+from hydrojax.identify.checking.balances import EDGES
 from hydrojax.identify.discovery.free_form import (
     COUNT,
-    EDGES,
     FACTORS,
     PISTON,
     TERMS,
@@ -40,13 +40,16 @@ class Laid:
 
 def laid_over(samples: Samples, values: Mapping[str, float]) -> list[Laid]:
     """Every term whose signal the logs move, and whose factor they have, over their
-    range; what a valve does by its coefficients among the rig's `values`.
+    range; what a valve does by its coefficients among the rig's `values`, or not where
+    a valve of another kind has none.
     """
-    out, edges = [], tuple(values.get(name, 1.0) for name in EDGES)
+    out, edges = [], tuple(values[name] for name in EDGES if name in values)
     for term in TERMS:
         if STRAIGHT.get(term.name) in values:
             continue
         if term.factor in FACTORS:
+            if len(edges) < len(EDGES):
+                continue
             term = replace(term, edges=edges)
         if term.factor in PISTON and term.factor not in samples:
             continue

@@ -405,6 +405,16 @@ def test_a_bent_cell_is_not_looked_for_beside_a_gain():
     assert "free_force_x" in names[1]
 
 
+def test_what_a_valve_does_is_by_its_own_coefficients():
+    """And is not looked for in a valve that has none."""
+    values = dict(zip(("c_p1", "c_n1", "c_p2", "c_n2"), COEFFICIENTS, strict=True))
+    samples = {"t": np.linspace(0.0, 20.0, 301)}
+    laid = {one.term.name: one.term for one in laid_over(samples, values)}
+    assert laid["free_flow_per_head_t"].edges == COEFFICIENTS
+    without = {one.term.name for one in laid_over(samples, {"beta": 1e9})}
+    assert laid.keys() - without == {"free_flow_per_head_t", "free_flow_per_through_t"}
+
+
 @pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)
 def test_every_form_can_be_written(form, tmp_path, vocabulary):
     """And is what it is fitted as, but for its rounded corners."""
