@@ -7,11 +7,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy import signal, stats
+from jaxtyping import Float
 
 from hydrojax.identify.estimation.known import Known
 from hydrojax.identify.inference.uncertainty import curvature
+from hydrojax.identify.results.lines import line_of, lowest_seen
 from hydrojax.identify.results.outcome import Dependence, Stretch, Unexplained
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
@@ -50,8 +50,7 @@ def unexplained(
         Dependence(n, *dependence(residual, s, criteria)) for n, s in signals.items()
     ]
     tests = tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
-    line, height, chance = spectral_line(residual, tick, signals.get("v"))
-    stands_out = chance < criteria.level and height > criteria.line
+    line = line_of(residual, tick, places, signals.get("v"), criteria)
     clear = max(
         (d for d in tests if d.share > criteria.correlates), key=_share, default=None
     )
@@ -62,21 +61,21 @@ def unexplained(
             f"with {follows} (p {clear.p_value:.2g}), more than with any other signal "
             "of the log"
         )
-    elif stands_out:
+    elif line is not None:
         follows = "frequency"
         description = f"{size}; it stands out as a line near {line:.3g} Hz"
     else:
         follows, where = _swells(residual, noise, signals, criteria)
         share = f"{100 * criteria.correlates:.0f} % of its variance"
         rest = f", but it is larger where {follows} is {where}" if where else ""
-        if not where and _bins(residual.shape[1]).size:
-            lowest = (EDGE + 1) / (residual.shape[1] * tick)
+        lowest = lowest_seen(residual.shape[1], tick, places)
+        if not where and lowest is not None:
             rest = f", and it has no spectral line above {lowest:.2g} Hz"
         description = f"{size}; no signal of the log goes with {share}{rest}"
     where = _in_few(residual, noise, places, criteria)
     return Unexplained(
         channel, excess, unit, follows, description + _said_of(where, len(residual)),
-        tests, line if stands_out else None, advice(channel, follows), where,
+        tests, line, advice(channel, follows), where,
     )  # fmt: skip
 
 
@@ -204,93 +203,6 @@ def dependence(
     share = max((own - np.mean(chance)) / max(np.sum(residual**2), 1e-300), 0.0)
     p = (1 + np.sum(np.array(chance) >= own)) / (criteria.shuffles + 1)
     return float(share), float(p)
-
-
-EDGE, SKIRT, AROUND = 3, 2, 16
-"""Bins at either end of a spectrum that are left out: what is slow, and what filters
-leave; bins on either side that a line is spread over; and bins that give its
-background."""
-
-
-def spectral_line(
-    residual: Float[np.ndarray, "windows ticks"],
-    tick: float,
-    v: Float[np.ndarray, "windows ticks"] | None = None,
-) -> tuple[float, float, float]:
-    """The line that stands out most from the residual's own smooth spectrum.
-
-    The residual is detrended by window and whitened by real poles, which take a drift
-    or a random walk but no line. Each bin of the mean spectrum is then compared with
-    the bins around it, and the logarithm of the ratio with its own scatter over the
-    spectrum. The bins at its ends are no candidates. Where the motion's speed `v` is
-    given, only by how much more the residual stands out there counts: what a rig is
-    moved with, and where that ends, is no line of its own.
-
-    Returns:
-        Its frequency, Hz; its height over the background; and the chance that any bin
-        of a smooth spectrum stands out so far.
-    """
-    f, above = _above_background(residual, tick)
-    if not f.size:
-        return 0.0, 1.0, 1.0
-    if v is not None and np.ptp(v) > 0:
-        of_motion = np.interp(f, *_above_background(v, tick))
-        above = above - np.maximum(of_motion, 0.0)
-    middle = np.median(above)
-    scatter = 1.4826 * np.median(np.abs(above - middle))
-    top = 1 + int(np.argmax(above[1:-1]))
-    far = stats.norm.sf((above[top] - middle) / max(scatter, 1e-12))
-    chance = -np.expm1((f.size - 2) * np.log1p(-min(far, 1 - 1e-12)))
-    return float(f[top]), float(np.exp(above[top])), float(chance)
-
-
-def _above_background(
-    y: Float[np.ndarray, "windows ticks"], tick: float
-) -> tuple[Float[np.ndarray, "bins"], Float[np.ndarray, "bins"]]:
-    """Frequencies, Hz, and the logarithm of by how much the mean spectrum of some
-    windows, whitened, lies there above that of the bins around; none of few ticks.
-    """
-    f, power = signal.periodogram(
-        _whitened(signal.detrend(y, axis=-1)),
-        1 / tick,
-        window="hann",
-        detrend="linear",
-        axis=-1,
-    )
-    kept = _bins(y.shape[1])
-    kept = kept[kept < f.size - EDGE]
-    if not kept.size:
-        return np.zeros(0), np.zeros(0)
-    level = np.log(np.maximum(power.mean(axis=0), 1e-300))[kept]
-    apart = np.abs(kept[:, None] - kept)
-    apart = np.where(apart > SKIRT, apart, kept.size)
-    near = np.argsort(apart, axis=1, kind="stable")[:, :AROUND]
-    off, around = near - np.arange(kept.size)[:, None], level[near]
-    lean = off - off.mean(axis=1, keepdims=True)
-    slope = np.sum(lean * around, axis=1) / np.sum(lean**2, axis=1)
-    return f[kept], level - np.median(around - slope[:, None] * off, axis=1)
-
-
-def _bins(ticks: int) -> Int[np.ndarray, "bins"]:
-    """Bins of the spectrum of so many ticks that may hold a line; none of few ticks."""
-    kept = np.arange(EDGE, ticks // 2 + 1 - EDGE)
-    return kept if kept.size >= 2 * AROUND else kept[:0]
-
-
-def _whitened(
-    residual: Float[np.ndarray, "windows ticks"],
-) -> Float[np.ndarray, "windows shorter"]:
-    """The residual through the inverse of up to three real poles, each from what
-    neighbouring ticks have in common.
-    """
-    for _ in range(3):
-        residual = residual - residual.mean(axis=-1, keepdims=True)
-        now, before = residual[:, 1:], residual[:, :-1]
-        pole = np.sum(now * before) / max(np.sum(before**2), 1e-300)
-        if pole < 0.5:
-            break
-        residual = now - pole * before
-    return residual
 
 
 def _size(value: float, unit: str) -> str:

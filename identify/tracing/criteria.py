@@ -291,6 +291,10 @@ class Criteria:
     line: float = 12.0
     """Height of a spectral line over the spectrum around it to be named, 1; it must
     stand out at `level` too. `benchmarks.trace`."""
+    line_share: float = 0.25
+    """Share of the spectrum of joined windows, over the share that the motion has
+    there, that a steady line must hold to be named, 1. A choice, not a study: the word
+    decides nothing."""
     few_windows: float = 0.02
     """Share of the windows in which over half of an excess lies, from which down they
     are said, 1: a fiftieth of noise alone never holds as much. Tests."""

@@ -19,9 +19,10 @@ from hydrojax.cli.identify import print_outcome
 from hydrojax.identify.api import trace_case
 from hydrojax.identify.case import open_case
 from hydrojax.identify.report.write import write_report
+from hydrojax.identify.results.lines import spectral_line, steady_line
 from hydrojax.identify.results.outcome import Outcome
 from hydrojax.identify.results.report_json import report_json
-from hydrojax.identify.results.unexplained import dependence, spectral_line, unexplained
+from hydrojax.identify.results.unexplained import dependence, unexplained
 from hydrojax.identify.tracing.score import Projection, Score, family, score
 from hydrojax.rigfile.schema import RigFile
 from tests import generator
@@ -188,7 +189,7 @@ def test_what_no_catalogue_names_is_left_unknown_and_described(traced):
     assert left.follows == "frequency"
     assert "line near" in left.description
     hertz = float(left.description.split("near ")[1].split(" Hz")[0])
-    assert hertz == pytest.approx(13.0, abs=4.0)  # windows of 0.25 s resolve 4 Hz
+    assert hertz == pytest.approx(13.0, abs=0.2)
     assert left.description in outcome.sentence
 
 
@@ -607,6 +608,43 @@ def test_where_the_motion_ends_is_no_line(seed):
     found, height, chance = spectral_line(hummed, 1e-3, v)
     assert found == pytest.approx(50.0, abs=4.0)
     assert height > 12 and chance < 1e-6
+
+
+ADJOINING = [("a.csv", 1 + 0.25 * k, 1.249 + 0.25 * k) for k in range(46)]
+
+
+@pytest.mark.parametrize("hertz", [7.0, 13.0, 50.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_steady_line_is_found_among_the_motion(seed, hertz):
+    """Below where one window shows a line, and where the motion has its own power."""
+    t = 1e-3 * np.arange(46 * 250).reshape(46, 250)
+    v, own = moved(seed), moved(seed + 50)
+    own = own / own.std()
+    residual = own + 2 * np.sin(2 * np.pi * hertz * t)
+    found, share, chance = steady_line(residual, 1e-3, ADJOINING, v)
+    assert found == pytest.approx(hertz, abs=0.1)
+    assert share > 0.4 and chance < 1e-6
+    left = unexplained("F", "N", 0.1, residual, {"v": v}, 1e-3, places=ADJOINING)
+    assert left.follows == "frequency" and left.line == pytest.approx(hertz, abs=0.1)
+    without = unexplained("F", "N", 0.1, own, {"v": v}, 1e-3, places=ADJOINING)
+    assert without.line is None and "no spectral line above 6 Hz" in without.description
+
+
+@pytest.mark.parametrize("made", [white, walk])
+def test_a_smooth_spectrum_shows_no_steady_line(made):
+    """Of 100 residuals at most some 5 % have p < 0.05, and none has a large share."""
+    found = [steady_line(made(seed), 1e-3, ADJOINING) for seed in range(100)]
+    assert np.mean([p < 0.05 for *_, p in found]) < 0.11
+    assert max(share for _, share, _ in found) < 0.25
+
+
+def test_what_the_rig_is_moved_with_is_no_steady_line():
+    """A rig in a sine of 7 Hz, and friction that changes sign with it."""
+    t = 1e-3 * np.arange(46 * 250).reshape(46, 250)
+    v = np.sin(2 * np.pi * 7 * t)
+    for residual in (v + 0.1 * white(0), np.sign(v) + 0.1 * white(0)):
+        assert steady_line(residual, 1e-3, ADJOINING)[1] > 0.5
+        assert steady_line(residual, 1e-3, ADJOINING, v)[1] < 0.25
 
 
 @pytest.mark.parametrize("seed", range(5))
