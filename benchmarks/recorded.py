@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hydrojax.jax_setup import set_up_jax
+from hydrojax.jax_setup import set_up_jax, user_cache
 
 PUBLISHED = {
     "payload_inertia.m": 95.1089,
@@ -31,7 +31,7 @@ of EMPS, Workshop on Nonlinear System Identification Benchmarks, 2019. SI."""
 
 def main(data: str, *names: str) -> None:
     """Trace each rig folder under `data`, or those named."""
-    set_up_jax()
+    set_up_jax(user_cache())
     from hydrojax.identify import api
     from hydrojax.identify.case import open_case
 

@@ -46,9 +46,9 @@ def _trace(out: Path, seeds: list[int], console: Console) -> None:
     """Trace what has no result yet, and print all."""
     folders = {seed: files.folder_of(out, seed) for seed in seeds}
     if not all((f / files.RESULT).exists() for f in folders.values()):
-        from hydrojax.jax_setup import set_up_jax
+        from hydrojax.jax_setup import set_up_jax, user_cache
 
-        set_up_jax()
+        set_up_jax(user_cache())
     rows = []
     for seed, folder in folders.items():
         truth = files.read(folder, files.TRUTH)

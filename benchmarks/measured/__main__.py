@@ -20,7 +20,7 @@ from rich.table import Table
 from benchmarks.measured.own import OWN
 from benchmarks.measured.peers import predicted
 from benchmarks.measured.sets import SETS, Measured
-from hydrojax.jax_setup import set_up_jax
+from hydrojax.jax_setup import set_up_jax, user_cache
 
 NEEDED = {
     "subspace (N4SID)": "nfoursid",
@@ -43,7 +43,7 @@ def main(
     if unknown:
         said = f"no set {unknown[0]!r}: choose from {', '.join(SETS)}"
         raise typer.BadParameter(said, param_hint="--only")
-    set_up_jax()
+    set_up_jax(user_cache())
     console = Console(width=110)
     for name, measured in SETS.items():
         if only and name not in only:

@@ -44,9 +44,6 @@ def main(
     refits: Annotated[
         int, typer.Option(help="cases on which every candidate is refitted (slow)")
     ] = 0,
-    cache: Annotated[
-        Path | None, typer.Option(help="folder for compiled programs")
-    ] = None,
 ) -> None:
     """Trace rigs with known truths and print what was found, as Markdown.
 
@@ -60,16 +57,16 @@ def main(
             raise typer.BadParameter(f"{text!r} is not KIND=N; kinds: {known}")
         wanted[kind] = int(count)
     console = Console(stderr=True)
-    from hydrojax.jax_setup import set_up_jax
+    from hydrojax.jax_setup import set_up_jax, user_cache
 
-    set_up_jax(cache)
+    set_up_jax(user_cache())
     from hydrojax.effects import EFFECTS
 
     specs = cases.plan(number, wanted, [n for n in NAMED if n in EFFECTS])
     if sized:
         names = [n for n in ENDS if n in EFFECTS]
         specs += list(islice(sizes.sized(names), sized * len(names)))
-    tracer = tracing.Tracing(oracle, with_baselines, cache)
+    tracer = tracing.Tracing(oracle, with_baselines)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

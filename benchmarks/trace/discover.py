@@ -217,14 +217,11 @@ def main(
         list[str] | None,
         typer.Option(help="run only this case (repeat the option)"),
     ] = None,
-    cache: Annotated[
-        Path | None, typer.Option(help="folder for compiled programs")
-    ] = None,
 ) -> None:
     """Look for curves on rigs with known truths; a killed run goes on where it was."""
-    from hydrojax.jax_setup import set_up_jax
+    from hydrojax.jax_setup import set_up_jax, user_cache
 
-    set_up_jax(cache)
+    set_up_jax(user_cache())
     specs = plan(outside, withheld, nothing)
     if missing := sorted({*(only or ())} - {s.name for s in specs}):
         raise typer.BadParameter(f"no such case: {missing[0]}", param_hint="--only")

@@ -17,20 +17,16 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Tracing:
-    """How a case's folder is traced: with the true structure and baselines or not.
-
-    `cache` is where compiled programs are kept, for processes that start afresh.
-    """
+    """How a case's folder is traced: with the true structure and baselines or not."""
 
     oracle: bool = True
     baselines: bool = True
-    cache: Path | None = None
 
     def __call__(self, folder: Path) -> Row:
         """The row of one case's folder."""
-        from hydrojax.jax_setup import set_up_jax
+        from hydrojax.jax_setup import set_up_jax, user_cache
 
-        set_up_jax(self.cache)
+        set_up_jax(user_cache())
         return trace_folder(folder, self.oracle, self.baselines)
 
 
