@@ -158,7 +158,7 @@ def searched(
     rig = start.state.problem.model.rig
     fit, check = (samples_of(data, rig) for data in (case.fit, case.check))
     both = {name: own for name, own in fit.items() if name in check}
-    laid = laid_over(both, start.state.named)
+    laid = laid_over(both, start.state.named, case.spec.effects)
     end = search(start, laid)
     curves = found_curves(end, start, case, fit, check)
     if not curves:
@@ -168,4 +168,10 @@ def searched(
         )
         return end, replace(outcome, notes=(*outcome.notes, said))
     beside = parameters_beside(end, case)
+    gone = {n.rpartition(".")[0] for n in set(start.state.free) - set(end.state.free)}
+    notes = (
+        f"with the curves {name} is not in the model: its straight line is the curve's"
+        for name in sorted(gone)
+    )
+    outcome = replace(outcome, notes=(*outcome.notes, *notes))
     return end, replace(outcome, curves=curves, beside=beside)

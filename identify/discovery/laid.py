@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -21,9 +21,10 @@ from hydrojax.identify.discovery.free_form import (
 )
 from hydrojax.identify.estimation.problem import Problem
 
-STRAIGHT = {"free_force_F": "loadcell_gain.eps"}
-"""Curves whose straight line a known effect is, with its strength: where that is in the
-model a fit would trade one for the other without end, and the curve is not laid.
+STRAIGHT = {"free_force_F": "loadcell_gain"}
+"""Curves whose straight line a known effect is: a fit of both would trade one for the
+other without end. Where the rig file declares the effect the curve is not laid; where
+it was found it goes when the curve comes.
 """
 
 Samples = Mapping[str, Float[np.ndarray, "rows"]]
@@ -38,14 +39,17 @@ class Laid:
     effect: FreeForm
 
 
-def laid_over(samples: Samples, values: Mapping[str, float]) -> list[Laid]:
+def laid_over(
+    samples: Samples, values: Mapping[str, float], declared: Collection[str] = ()
+) -> list[Laid]:
     """Every term whose signal the logs move, and whose factor they have, over their
     range; what a valve does by its coefficients among the rig's `values`, or not where
-    a valve of another kind has none.
+    a valve of another kind has none. None that is one of the `declared` effects, but
+    for its bends.
     """
     out, edges = [], tuple(values[name] for name in EDGES if name in values)
     for term in TERMS:
-        if STRAIGHT.get(term.name) in values:
+        if STRAIGHT.get(term.name) in declared:
             continue
         if term.factor in FACTORS:
             if len(edges) < len(EDGES):

@@ -11,7 +11,7 @@ from scipy.interpolate import BSpline
 
 from hydrojax.effects.splines import DEGREE, bspline
 from hydrojax.identify.discovery.free_form import coefficients, share_of_level
-from hydrojax.identify.discovery.laid import Laid, with_laid
+from hydrojax.identify.discovery.laid import STRAIGHT, Laid, with_laid
 from hydrojax.identify.discovery.smooth import Columns, Smooth, smoothed
 from hydrojax.identify.estimation.fit import fit_jointly, fit_pressures
 from hydrojax.identify.estimation.known import COULOMB, Known
@@ -73,7 +73,8 @@ def columns_of(
     out = {}
     for one in laid:
         own = coefficients(one.effect)
-        fitted = [names.index(n) for n in state.free if n not in own]
+        beside = without_line(state.free, one)
+        fitted = [names.index(n) for n in beside if n not in own]
         # The penalties of what is fitted already are one more window's sums.
         known = known_of(problem, at.curves, [names[i] for i in fitted])
         index = [names.index(n) for n in known.names]
@@ -128,11 +129,23 @@ def fitted(
     before: Float[np.ndarray, "windows 3"],
     noise: Float[np.ndarray, "3"],
 ) -> Search:
-    """The search with one more curve, fitted with all that is free."""
-    free = (*at.state.free, *coefficients(one.effect))
-    state = replace(at.state, free=free)
+    """The search with one more curve, fitted with all that is free, but for an effect
+    that is the curve's straight line: it is absent from there on.
+    """
+    state, kept = at.state, without_line(at.state.free, one)
+    values = state.point.values.copy()
+    for name in set(state.free) - set(kept):
+        values[state.problem.model.names.index(name)] = 0.0
+    free = (*kept, *coefficients(one.effect))
+    state = replace(state, free=free, point=replace(state.point, values=values))
     curve = Curve(one, smooth, p_value, before, before)
     return _settled(replace(at, state=state), at.curves, curve, noise)
+
+
+def without_line(free: Sequence[str], one: Laid) -> tuple[str, ...]:
+    """Free parameters without those of the effect that is a curve's straight line."""
+    effect = STRAIGHT.get(one.term.name)
+    return tuple(n for n in free if n.rpartition(".")[0] != effect)
 
 
 def relaid(at: Search, noise: Float[np.ndarray, "3"]) -> Search:

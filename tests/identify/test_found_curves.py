@@ -30,6 +30,7 @@ from hydrojax.identify.discovery.effect_file import (
 from hydrojax.identify.discovery.formula import FORMS, Formula
 from hydrojax.identify.discovery.free_form import TERMS, share_of_level
 from hydrojax.identify.discovery.laid import laid_over
+from hydrojax.identify.discovery.with_curves import without_line
 from hydrojax.identify.report.write import plot, result_html, write_report
 from hydrojax.identify.result import Result
 from hydrojax.identify.results.curve import FoundCurve
@@ -395,14 +396,18 @@ def test_a_load_cell_that_bends_is_an_effect(kind, tmp_path, vocabulary):
 
 
 def test_a_bent_cell_is_not_looked_for_beside_a_gain():
-    """Its straight line is that gain: a fit had the force's own negative."""
+    """Its straight line is that gain: a fit had the force's own negative. A gain that
+    the rig file declares stays; one that was found goes.
+    """
     samples = {"F": np.linspace(-400.0, 400.0, 301), "x": np.linspace(0.0, 0.02, 301)}
-    names = [
-        {one.term.name for one in laid_over(samples, values)}
-        for values in ({}, {"loadcell_gain.eps": 0.14})
+    laid = [
+        {one.term.name: one for one in laid_over(samples, {}, declared)}
+        for declared in ((), ("loadcell_gain",))
     ]
-    assert names[0] - names[1] == {"free_force_F"}
-    assert "free_force_x" in names[1]
+    assert laid[0].keys() - laid[1].keys() == {"free_force_F"}
+    free = ("k_0", "loadcell_gain.eps", "loadcell_bias.b")
+    assert without_line(free, laid[0]["free_force_F"]) == ("k_0", "loadcell_bias.b")
+    assert without_line(free, laid[0]["free_force_x"]) == free
 
 
 def test_what_a_valve_does_is_by_its_own_coefficients():
