@@ -320,9 +320,10 @@ def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
     """The outcome with what looks wrong with the inputs, which is said first.
 
     Nothing is said of a factor by a balance of force that closes less well with it
-    than the declared model's runs do without (`Criteria.credible`); nor of one that an
-    effect does as well which was added, and leaves the force above its noise: that
-    effect says so itself, and stands for something else.
+    than the declared model's runs do without, or those with effects that bring the
+    force to its noise (`Criteria.credible`); nor of one that an effect does as well
+    which was added, and leaves the force above its noise: that effect says so itself,
+    and stands for something else.
     """
     found = tuple(f for f in found if f.mended or _credible(f, outcome))
     if not found:
@@ -349,7 +350,10 @@ def _credible(found: Finding, outcome: Outcome) -> bool:
     if found.finding != "factor" or found.unit != "N" or left is None or force is None:
         return True
     own = outcome.criteria
+    noise = own.at_noise * force.noise
     if any(e.name in found.effects for e in outcome.effects):
-        return force.after <= own.at_noise * force.noise
-    declared = force.before if outcome.command == "trace" else force.after
-    return left <= own.credible * declared
+        return force.after <= noise
+    traced = outcome.command == "trace"
+    whole = bool(outcome.effects) and force.after <= noise
+    runs = noise if whole else force.before if traced else force.after
+    return left <= own.credible * runs

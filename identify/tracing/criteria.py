@@ -307,9 +307,10 @@ class Criteria:
     for it to be called late, 1. `tests/identify/test_late.py`, on machines that lack
     other things."""
     credible: float = 2.0
-    """Times the declared model's error of the force up to which a balance of force may
-    leave one with an input mended for that input to be blamed, 1. A choice: a balance
-    that leaves more knows less of the friction than the model."""
+    """Times the force's error, of the declared model or with effects that bring it to
+    its noise, up to which a balance of force may leave one with an input mended for
+    that input to be blamed, 1. A choice: a balance that leaves more knows less of the
+    friction than the model."""
     needed: float = 0.1
     """Share of the fall of the validation error that a parameter's change must give
     back for the verdict to wait on that parameter, 1. `benchmarks.trace`."""
