@@ -45,7 +45,8 @@ def with_delay_replayed(
     progress: Callable[[str], None],
 ) -> Findings:
     """The findings, of which that of a late position has the delay by which the model
-    that was fitted leaves least; themselves where that is the delay they have.
+    that was fitted leaves least; themselves where that is the delay they have, and
+    without that of a position that is not late then.
 
     Args:
         case: with the findings mended in it.
@@ -69,6 +70,12 @@ def with_delay_replayed(
     moves = _lowest(lambda moves: error(moves * step))
     if moves is None or abs(moves) < SAME:
         return found
+    was, now = (
+        spec.channels[late.input].late if late.input in spec.channels else 0.0
+        for spec in (given, case.spec)
+    )
+    if now + moves * step <= was:  # the balances called it late, and it is not
+        return tuple(f for f in found if f is not late)
     new = with_delay(late, given, case.spec, moves * step)
     return tuple(new if f is late else f for f in found)
 

@@ -52,6 +52,8 @@ twice as far it leaves more than that."""
 EARLY = 1.1
 """Error with the position brought back over that with it brought forward, up to which a
 late position is not told from late pressures (`benchmarks.machines`, seed 42)."""
+SEEN = 3.0
+"""Standard errors by which the oil must give for its modulus to be named."""
 OFF = 0.01
 """Relative difference from the default from which it is named."""
 
@@ -223,7 +225,11 @@ def flow_left_out(of: Inputs) -> LeftOut | None:
     given = solved(table, open_).error if open_ else float(np.sqrt(np.mean(table.y**2)))
     if given < HELD * free.error:
         return None
+    # Of oil too stiff to be seen nothing is said, nor of the volumes that it fills.
+    seen = free.values["beta"] > SEEN * free.std["beta"]
+    unseen = () if seen else ("beta", *OFFSETS)
     off = {n: found[n] for n, v in held.items() if _differs(found[n], v)}
+    off = {n: v for n, v in off.items() if n not in unseen}
     return LeftOut(off, given, free.error) if off else None
 
 

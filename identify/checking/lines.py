@@ -59,8 +59,11 @@ def turned(spec: RigFile, names: Sequence[str]) -> Lines:
 
     The position that a sensor reads at mid-stroke changes its sign with it.
     """
-    first = spec.channels.get(names[0])
-    lines = columns(spec, names, invert=not (first and first.invert))
+    entries = {}
+    for name in names:
+        given = spec.channels.get(name, Channel(column=name))
+        entries |= columns(spec, [name], invert=not given.invert)["channels"]
+    lines: Lines = {"channels": entries}
     if names[0] == "x" and spec.geometry.get("x_mid"):
         return {**lines, **resized(spec, ["x_mid"], -1.0)}
     return lines

@@ -40,7 +40,8 @@ def mended(spec: RigFile, found: Sequence[Finding]) -> tuple[RigFile, Findings]:
     which those are marked.
     """
     out = []
-    for f in found:
+    for one in found:
+        f = replace(one, mended=False)
         if _to_be_mended(f):
             with suppress(InputError):  # a value that no rig can have
                 spec, f = applied(spec, f.lines), replace(f, mended=True)

@@ -13,6 +13,9 @@ from hydrojax.identify.discovery.effect_file import class_name, effect_file
 from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.report.files import write_one
 
+NAMED = re.compile(r'^    name = "(\w+)"$', re.MULTILINE)
+"""How a file of the folder names an effect."""
+
 
 def keep(folder: Path, rig: str, curves: Sequence[FoundCurve]) -> Path:
     """Write curves into a folder of effects, in one file, under names of the rig's.
@@ -30,11 +33,13 @@ def keep(folder: Path, rig: str, curves: Sequence[FoundCurve]) -> Path:
     """
     own = re.sub(r"\W+", "_", rig.lower(), flags=re.ASCII).strip("_")
     own = own if own[:1].isalpha() else f"rig_{own}".rstrip("_")
-    there = {path.stem for path in folder.glob("*.py")}
+    files = list(folder.glob("*.py"))
+    there = {path.stem for path in files}
+    names = {n for path in files for n in NAMED.findall(path.read_text("utf-8"))}
     path = folder / f"{_free(own, there)}.py"
     named: list[FoundCurve] = []
     for curve in curves:
-        taken = {*EFFECTS, *(c.name for c in named)}
+        taken = {*EFFECTS, *names, *(c.name for c in named)}
         named.append(_renamed(curve, _free(f"{own}_{curve.name}", taken)))
     try:
         write_one(path, effect_file(rig, named).encode())

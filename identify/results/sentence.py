@@ -11,6 +11,7 @@ from hydrojax.identify.results.outcome import (
     Unexplained,
 )
 from hydrojax.identify.results.unexplained import LeftOpen
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.report.text import quantity_text
 
 
@@ -48,8 +49,9 @@ def verdict_sentence(
     left: tuple[Unexplained, ...],
     held_out: bool,
     needed: LeftOpen,
+    criteria: Criteria = Criteria(),
 ) -> str:
-    """What a run found, in one sentence.
+    """What a run found, in one sentence; in two where effects may stand in for others.
 
     `left` is what stays above its noise, `needed` what the fitted logs leave open and
     the validation logs depend on.
@@ -89,7 +91,10 @@ def verdict_sentence(
     if command == "identify":
         return f"The declared model does not explain {channels}: {rest}. Try trace."
     none = f"{'no' if start else 'No'} known effect explains the residual of"
-    return f"{start}{none} {channels}: {rest}."
+    hint = ""
+    if names and share < criteria.stands_in:
+        hint = f" {names} may stand in for what is missing."
+    return f"{start}{none} {channels}: {rest}.{hint}"
 
 
 def motion_sentence(motion: PredictedMotion) -> str:

@@ -89,7 +89,9 @@ def summarise(
         verdict=verdict,
         sentence=without_skill(channels, state.criteria.at_noise)
         + with_ends(
-            verdict_sentence(command, verdict, effects, left, case.held_out, needed),
+            verdict_sentence(
+                command, verdict, effects, left, case.held_out, needed, state.criteria
+            ),
             _at_ends(state, uncertainty),
         )
         + _slow_noise(case, channels, left, state.criteria),

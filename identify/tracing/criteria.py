@@ -280,6 +280,12 @@ class Criteria:
 
     # -- the residual --
 
+    stands_in: float = 0.97
+    """Share of the squared error above the noise below which effects under the verdict
+    `unknown` are said to stand in, perhaps, for what is missing, 1. Effects that were
+    named in the place of laws outside the vocabulary took up to 0.96 of it
+    (`benchmarks.trace --more unnamed`)."""
+
     correlates: float = 0.08
     """Share of the residual variance that a signal must explain to be named, 1.
     `benchmarks.trace`."""

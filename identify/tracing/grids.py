@@ -81,7 +81,8 @@ def found_along(
                 at = list(pool.map(evaluate, far, repeat(free)))
                 left = np.array([a.predicted(problem) for a in at])
                 around = np.r_[np.inf, left, np.inf]
-                (low,) = np.nonzero((left <= around[:-2]) & (left <= around[2:]))
+                lowest = (left <= around[:-2]) & (left <= around[2:])
+                (low,) = np.nonzero(lowest & np.isfinite(left))
                 best = sorted(low, key=lambda i: left[i])[: own.far_starts]
                 found += [(left[i], name, at[i], free) for i in best]
         found.sort(key=lambda f: f[0])

@@ -94,7 +94,7 @@ def _or_several(
     left = _errors(found)
     if not np.any((found.check.rms(left) > found.criteria.much * noise)[PRESSURES]):
         return found
-    several = _several(begun, effects, noise)
+    several = _several(replace(begun, scores=found.scores), effects, noise)
     if len(several.added) < len(begun.added) + 2:
         return found
     by = found.criteria.beyond_chance

@@ -174,12 +174,15 @@ def with_look_alikes(state: Tracing) -> Tracing:
     noise, criteria = state.noise, state.criteria
     own, gram = state.check.errors_at(state.point.values), _gram(state, noise)
     known = {a.name for a in state.added}
-    told = set(state.tried) if len(state.added) == 1 else set()
+    # What was tried in the round of the one effect there is was compared with it.
+    others = not {"exchanged", "needless"}.isdisjoint(state.tried.values())
+    told = set(state.tried) if len(state.added) == 1 and not others else set()
     added = []
     for a in state.added:
         near = _near_parallel(state, a.name, gram)
         near = [n for n in near if n not in {*known, *told, *a.cannot_tell_from}]
-        alike = list(a.cannot_tell_from)
+        # What looked like it before it was found is no look-alike beside it.
+        alike = [n for n in a.cannot_tell_from if n not in known]
         less = without(state, a.name, noise) if near else state
         for name in near[: criteria.rivals]:
             state.progress(f"refit with {name} in place of {a.name}")

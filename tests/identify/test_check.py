@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,10 +13,13 @@ import pytest
 import hydrojax as hj
 from benchmarks.machines import files, record
 from benchmarks.trace.lies import Traced, lies_of, named
+from hydrojax.identify.checking import factors
+from hydrojax.identify.checking.balances import EDGES, FLOW, OFFSETS
 from hydrojax.identify.checking.lines import applied, resized, turned
 from hydrojax.identify.checking.mended import mended, read_again
+from hydrojax.identify.checking.regression import Fitted
 from hydrojax.identify.checking.sensors import channel_table
-from hydrojax.identify.checking.words import Finding
+from hydrojax.identify.checking.words import Finding, late_position, with_delay
 
 TRIED = (
     "area -2%", "P_s -10%", "psi turned round", "P_a1 turned round",
@@ -283,6 +288,44 @@ def test_a_line_that_no_rig_can_have_is_left_out():
     says = ("area_1", "unit", 1e4, None, None, "Pa", "area_1 is off")
     odd = Finding(*says, {"geometry": {"area_1": "-1 m^2"}})
     assert mended(spec, [odd]) == (spec, (odd,))
+
+
+def test_a_mend_that_can_no_more_be_made_is_none():
+    """A position that balances called late, and replays have early."""
+    spec = hj.RigFile.from_text(DIFFERENTIAL)
+    late = late_position(spec, "x", 0.3e-3)
+    new, (found,) = mended(spec, [late])
+    assert found.mended and new.channels["x"].late == pytest.approx(0.3e-3)
+    early = with_delay(found, spec, new, -0.32e-3)
+    unmended, (none,) = mended(spec, [early])
+    assert unmended is spec and not none.mended
+
+
+def test_each_channel_is_turned_from_how_it_was():
+    spec = hj.RigFile.from_text(
+        f"{DIFFERENTIAL}[channels]\nP_a1 = {{ column = 'P_a1', invert = true }}"
+    )
+    new = applied(spec, turned(spec, ["P_a1", "P_a2"]))
+    assert not new.channels["P_a1"].invert and new.channels["P_a2"].invert
+
+
+@pytest.mark.parametrize(("soft", "named"), [(-8e-12, False), (1e-9, True)])
+def test_oil_too_stiff_to_be_seen_is_not_named(monkeypatch, soft, named):
+    """Its modulus would be that of the softest oil there may be."""
+    values = dict.fromkeys(FLOW, 3e-8) | {"beta": soft} | dict.fromkeys(OFFSETS, 1e-10)
+    fits = iter([1.0, 2.0])
+
+    def solved(table, names):
+        std = dict.fromkeys(names, 4e-11)
+        return Fitted({n: values[n] for n in names}, std, next(fits), np.zeros(1))
+
+    monkeypatch.setattr(factors, "solved", solved)
+    defaults = dict.fromkeys(FLOW, 1e-8) | {"beta": 7e8} | dict.fromkeys(OFFSETS, 0.0)
+    rig = SimpleNamespace(parameters=EDGES[:1])
+    of = SimpleNamespace(defaults=defaults, spec=rig, flow=Mock())
+    found = factors.flow_left_out(of)
+    assert found is not None and set(found.values) >= set(EDGES[1:])
+    assert ("beta" in found.values) == named == (OFFSETS[0] in found.values)
 
 
 @pytest.mark.slow

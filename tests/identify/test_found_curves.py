@@ -506,7 +506,9 @@ def named(curve: FoundCurve, rig: str) -> Result:
 
 
 def test_what_is_kept_is_searched_next_time(tmp_path, vocabulary):
-    """Two rigs and one twice: each its own file and name, with the law unchanged."""
+    """Two rigs and one twice: each its own file and name, with the law unchanged, also
+    where nothing of the folder was loaded between.
+    """
     folder = tmp_path / "found" / "effects"
     curve = found(law("free_level_v", bell()))
     rigs = ("Crane 7, boom", "2nd crane", "Crane 7, boom")
@@ -522,8 +524,10 @@ def test_what_is_kept_is_searched_next_time(tmp_path, vocabulary):
     }  # fmt: skip
     assert list(every) == [
         "crane_7_boom_free_level_v", "rig_2nd_crane_free_level_v",
-        "crane_7_boom_free_level_v_2",
+        "crane_7_boom_free_level_v_3",
     ]  # fmt: skip
+    every |= load_effects(kept[2])
+    assert list(every)[-1] == "crane_7_boom_free_level_v_2"
     for kind in every.values():
         got = float(kind(a_1=120.0, s_0=4e-3).level(sliding(v=3e-3), 900.0))
         assert got == pytest.approx(120 * np.exp(-((3 / 4) ** 2)), rel=1e-6)

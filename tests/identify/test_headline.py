@@ -53,6 +53,20 @@ def test_a_sentence_counts_its_effects():
     assert "added" not in said("unknown", ())
 
 
+@pytest.mark.parametrize(("share", "hint"), [(0.6, True), (0.98, False)])
+def test_an_effect_that_takes_a_part_may_stand_in_for_another(share, hint):
+    left, one = OUTCOMES["unknown"]().unexplained, explained().effects[0]
+
+    def said(verdict, *effects):
+        return verdict_sentence(
+            "trace", verdict, effects, left, True, LeftOpen()
+        ).endswith("may stand in for what is missing.")
+
+    own = replace(one, share=share)
+    assert said("unknown", own) == hint
+    assert not said("unknown") and not said("explained", own)
+
+
 def test_a_sentence_says_what_goes_with_values_that_were_left_open():
     left = OUTCOMES["unknown"]().unexplained
 

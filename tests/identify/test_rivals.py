@@ -20,9 +20,9 @@ from hydrojax.identify.case import open_case
 from hydrojax.identify.estimation import fit
 from hydrojax.identify.estimation.fit import FitPoint, fit_all, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
-from hydrojax.identify.tracing import loop, refit
+from hydrojax.identify.tracing import loop, refit, rivals
 from hydrojax.identify.tracing.judge import better, may_rise, worsened
-from hydrojax.identify.tracing.rivals import exchanged, pruned, shed
+from hydrojax.identify.tracing.rivals import exchanged, pruned, shed, with_look_alikes
 from hydrojax.identify.tracing.score import Score
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
 
@@ -244,3 +244,32 @@ def test_what_is_better_in_nearly_every_window_is_better(falls, rise, sure):
     noise = np.array([0.1, 0.1, np.inf])
     assert better(after, before, noise, 3.0) is sure
     assert not better(before, after, noise, 3.0)
+
+
+def test_what_was_found_since_is_no_look_alike(opened, monkeypatch):
+    """A leak looked like another, until that was found beside it."""
+    state = unfitted(opened, TRUE, WRONG)
+    first, second = (replace(a, cannot_tell_from=(WRONG,)) for a in state.added)
+    state = replace(state, added=(first, replace(second, cannot_tell_from=())))
+    monkeypatch.setattr(rivals, "_near_parallel", lambda *_: [])
+    monkeypatch.setattr(rivals, "_gram", lambda *_: None)
+    assert [a.cannot_tell_from for a in with_look_alikes(state).added] == [(), ()]
+
+
+def test_effects_that_are_added_together_keep_their_scores(opened, monkeypatch):
+    """All that was tried is listed, and they were."""
+    begun = unfitted(opened)
+    scores = {n: Score(n, 1.0, np.zeros(1), 1.0, 0.0, 1.0, 0.0) for n in (TRUE, WRONG)}
+    found = replace(begun, scores=scores)
+    sets = [unfitted(opened, TRUE), unfitted(opened, TRUE, WRONG)]
+    monkeypatch.setattr(
+        loop, "together", lambda s, _: [replace(one, scores=s.scores) for one in sets]
+    )
+    monkeypatch.setattr(loop, "fit_from", lambda s, *_: (s.problem, s.point))
+    monkeypatch.setattr(loop, "judge", lambda *_: "helps")
+    monkeypatch.setattr(loop, "better", lambda *_: True)
+    monkeypatch.setattr(loop, "chance", lambda *_: 0.0)
+    pressures = only(begun.noise, PRESSURES) / 100
+    out = loop._or_several(begun, found, begun.effects, pressures)
+    assert [a.name for a in out.added] == [TRUE, WRONG]
+    assert out.scores == scores
