@@ -61,6 +61,8 @@ def _factor(unit: str, want: str) -> float:
         text = f"1{text}"
     hint = "give it as a plain number" if want == "1" else f"give it in {want} or so"
     shown = repr(one_line(unit, 40))
+    if text.lower() == "grad":  # German for degrees, pint's for gon
+        raise _UnitError(f"unit {shown} may be degrees or gon; write deg or gon")
     powers = [m.start() for m in _POWER.finditer(text[: WORD + 1])]
     if (
         len(text) > WORD

@@ -10,6 +10,12 @@ from hydrojax.errors import InputError
 from hydrojax.logs.tables import Column, File
 from hydrojax.logs.texts import DATE
 
+ZONE = r"\s*(Z|[+-]\d\d(?::?\d\d)?)$"
+"""A time zone behind a time of day."""
+
+DAY = 86400.0
+"""Seconds."""
+
 
 def clock_seconds(
     file: File, where: str, column: Column
@@ -52,7 +58,7 @@ def _seconds(cells: pd.Series) -> tuple[np.ndarray, int | None] | None:
     clear = both[0].str.fullmatch(r"\d{4}-\d{1,2}-\d{1,2}")
     dotted = both[0].str.fullmatch(r"\d{1,2}\.\d{1,2}\.\d{4}")
     if both[0].isna().all() or both[0].nunique(dropna=False) == 1:
-        found = pd.to_timedelta(both[1], errors="coerce").dt.total_seconds()
+        found = _of_one_day(both[1], dated=bool(both[0].notna().all()))
     elif clear.all() or dotted.all():
         first = bool(dotted.all())
         stamps = pd.to_datetime(
@@ -67,6 +73,19 @@ def _seconds(cells: pd.Series) -> tuple[np.ndarray, int | None] | None:
     if len(wrong):
         return out, int(wrong[0])
     return out - out[np.isfinite(out)][0], None
+
+
+def _of_one_day(text: pd.Series, dated: bool) -> pd.Series:
+    """Times of day as seconds, NaN where they are none; without a date they may pass
+    midnight. A zone that all have says nothing.
+    """
+    zones = text.str.extract(ZONE)[0]
+    if zones.notna().all() and zones.nunique() == 1:
+        text = text.str.replace(ZONE, "", regex=True)
+    found = pd.to_timedelta(text, errors="coerce").dt.total_seconds()
+    if not dated:
+        found = found + DAY * (found.diff() < -DAY / 2).cumsum()
+    return found
 
 
 def _elapsed(stamps: pd.Series) -> np.ndarray:

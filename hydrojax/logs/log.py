@@ -157,7 +157,7 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
         column, unit, sign = found.pop(name)
         values, stored[name] = si_values(file, name, column, unit)
         arrays[name] = values if sign == 1.0 else sign * values
-    _check_rows(file, labels, arrays)
+    check_rows(file, labels, arrays)
     coarse = check_time(file, labels["time"], arrays["time"])
     for name, values in arrays.items():
         notes += check_values(file, name, labels[name], values)
@@ -254,7 +254,7 @@ def _between(
     return interpolate.make_interp_spline(time, y, k=DEGREE)
 
 
-def _check_rows(
+def check_rows(
     file: File, labels: Mapping[str, str], arrays: Mapping[str, np.ndarray]
 ) -> None:
     """Refuse columns of different lengths, and too few rows."""
@@ -267,5 +267,6 @@ def _check_rows(
             )
     if rows < _LEAST_ROWS:
         raise InputError(
-            f"{file.path}: a log needs at least {_LEAST_ROWS} rows, and it has {rows}"
+            f"{file.path}: a log needs at least {_LEAST_ROWS} rows, and it has {rows}; "
+            "log longer"
         )

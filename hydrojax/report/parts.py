@@ -268,7 +268,7 @@ class InputRecord(Part):
     )
     finding: str = Field(
         description="`sign`, `exchanged`, `unit`, `factor`, `left out`, `noise`, "
-        "`stuck`, `clipped` or `vacuum`"
+        "`stray`, `stuck`, `clipped` or `vacuum`"
     )
     factor: float | None = Field(
         None, description="by which to multiply it; null where that mends nothing"

@@ -37,9 +37,10 @@ def inputs_that_lie(
         channels: what the logs' channels are like; see `channel_table`.
         known: the parameters of [parameters].
     """
-    sensors = words.of_sensors(channels)
-    if any(f.finding == "stuck" and channels.repeated[f.input] > DEAD for f in sensors):
-        return tuple(sensors)  # no balance closes with a dead sensor
+    sensors = words.of_sensors(channels, of.h)
+    dead = (f.finding == "stuck" and channels.repeated[f.input] > DEAD for f in sensors)
+    if any(dead) or any(f.finding == "stray" for f in sensors):
+        return tuple(sensors)  # no balance closes with a sensor that is dead, or lies
     mended, scale, found = of, dict.fromkeys(channels.index, 1.0), []
     for mend, before, after in mends_wanted(of):
         one = words.of_mend(mend, before, after, of)

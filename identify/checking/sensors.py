@@ -20,12 +20,19 @@ STANDSTILL = 2e-4
 second."""
 STUCK = 0.1
 """Seconds of one and the same reading from which a noisy sensor is stuck."""
+READINGS = 4.5
+"""Readings of one value up to which that may be chance."""
 REST = 3.0
 """Steps of a sensor up to which its next reading may be the same signal at rest."""
 JUMP = 3.0
 """Times the next step on, from which a step out of a run of one reading is a jump."""
 DEAD = 0.99
 """Share of readings equal to the one before from which a sensor is dead."""
+STRAY = 20.0
+"""Times the step that 999 of 1000 stay below, or the sensor's least, from which a
+reading jumps away, if as far a jump back ends it."""
+FEW = 0.1
+"""Share of a stretch that one jump away takes at most."""
 CLIPPED = 1e-3
 """Share of the readings at an end of the range, in runs, from which it is clipped."""
 ROLL_OFF = 6.0
@@ -52,6 +59,7 @@ class Readings:
         stuck: the longest run of one reading that begins or ends with a jump, s.
         roll_off: by how many decibels power falls from a third of the rate to half.
         below_vacuum: share of readings that no oil can have; 0 for what is no pressure.
+        strays: share of readings that jump away and back, of one value meanwhile.
     """
 
     unit: str
@@ -64,6 +72,7 @@ class Readings:
     stuck: float
     roll_off: float
     below_vacuum: float
+    strays: float
 
 
 def log_table(logs: Sequence[Log], spec: RigFile) -> pd.DataFrame:
@@ -130,6 +139,7 @@ def _channel(name: str, logs: Sequence[Log]) -> Readings:
         longest,
         max((_roll_off(y) for _, y in pieces if np.ptp(y) > 0), default=0.0),
         float(np.mean(whole < VACUUM)) if pressure else 0.0,
+        sum(_strays(y, r) for (_, y), r in zip(pieces, runs, strict=True)) / len(whole),
     )
 
 
@@ -148,6 +158,25 @@ def _longest_hold(y: Float[np.ndarray, "rows"], runs: np.ndarray, step: float) -
     into = (size[ends] > step) & (size[ends] > JUMP * size[ends - 1])
     around = np.concatenate([[False], into]) | np.concatenate([after, [False]])
     return int(np.max(runs[around], initial=1))
+
+
+def _strays(y: Float[np.ndarray, "rows"], runs: np.ndarray) -> int:
+    """How many readings jump away and back: a loose plug, a lost telegram, a bad cell.
+
+    Between the two jumps, each the other's opposite to a factor of two, stands one
+    value.
+    """
+    steps = np.diff(y)
+    sizes, ends = np.abs(steps), np.cumsum(runs)[:-1]
+    if len(ends) < 2:
+        return 0
+    away, back = steps[ends[:-1] - 1], -steps[ends[1:] - 1]
+    # Of a coarse sensor that hardly moves most steps are 0: the least that is not.
+    least = STRAY * max(np.quantile(sizes, 0.999), np.min(sizes[sizes > 0]))
+    jumps = (np.abs(away) > least) & (away * back > 0)
+    jumps &= (np.abs(away) < 2 * np.abs(back)) & (np.abs(back) < 2 * np.abs(away))
+    held = runs[1:-1]
+    return int(np.sum(held[jumps & (held <= FEW * len(y))]))
 
 
 def _roll_off(y: Float[np.ndarray, "rows"]) -> float:

@@ -24,7 +24,14 @@ from hydrojax.identify.checking.lines import (
 )
 from hydrojax.identify.checking.regression import solved
 from hydrojax.identify.checking.search import INCH, POUND, PSI, Mend, Trial
-from hydrojax.identify.checking.sensors import CLIPPED, DEAD, SENSORS, STUCK, VACUUM
+from hydrojax.identify.checking.sensors import (
+    CLIPPED,
+    DEAD,
+    READINGS,
+    SENSORS,
+    STUCK,
+    VACUUM,
+)
 from hydrojax.logs.tables import SIGNALS
 from hydrojax.parameters import Spec
 from hydrojax.rigfile.edit import text
@@ -311,8 +318,8 @@ def of_noise(of: Inputs, noise: Mapping[str, float]) -> list[Finding]:
     return out
 
 
-def of_sensors(channels: pd.DataFrame) -> list[Finding]:
-    """Readings that no sound sensor gives."""
+def of_sensors(channels: pd.DataFrame, h: float) -> list[Finding]:
+    """Readings that no sound sensor gives; `h` is the logs' step, s."""
     out = []
 
     def add(name: str, what: str, says: str) -> None:
@@ -320,7 +327,20 @@ def of_sensors(channels: pd.DataFrame) -> list[Finding]:
 
     for name in (n for n in SENSORS if n in channels.index):
         own = channels.loc[name]
-        if own.high > own.low and own.stuck > STUCK and not 0.5 < own.repeated < DEAD:
+        if name == "P_s" and own.low == own.high <= 0.0:
+            add(name, "stuck", "P_s is 0 all the time, no supply: take the column out "
+                "and give [supply] P_s")  # fmt: skip
+            continue
+        if own.strays > 0:
+            add(name, "stray", f"{name} jumps away and back at once in "
+                f"{100 * own.strays:.2g} % of its readings, as with a loose plug or a "
+                "bad cell: leave these cells empty")  # fmt: skip
+            continue
+        if (
+            own.high > own.low
+            and own.stuck > max(STUCK, READINGS * h)
+            and not 0.5 < own.repeated < DEAD
+        ):
             add(name, "stuck", f"{name} stands at one reading for {own.stuck:.2g} s: "
                 "leave these cells empty, or take the column out")  # fmt: skip
         if own.at_ends > CLIPPED and own.repeated < 0.5:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from hydrojax.identify.motion.course import SIGNALS
 from hydrojax.identify.report.figures import AFTER, BEFORE, moved, sheet, styled
-from hydrojax.report.text import engineering
+from hydrojax.report.text import engineering, in_picture
 
 if TYPE_CHECKING:
     from hydrojax.identify.results.outcome import Outcome, Series
@@ -37,7 +37,7 @@ def motion_figure(outcome: Outcome) -> Figure | None:
     )
     for i, name in enumerate(drawn):
         _draw(rows[2 * i], rows[2 * i + 1], found, name)
-    rows[-1].set_xlabel(f"time [s], {found.log}")
+    rows[-1].set_xlabel(f"time [s], {in_picture(found.log)}")
     handles = rows[0].get_legend_handles_labels()
     figure.legend(*handles, loc="outside upper center", ncols=3)
     return figure

@@ -17,7 +17,7 @@ from hydrojax.identify.report.figures import (
     styled,
 )
 from hydrojax.identify.report.headline import worst
-from hydrojax.report.text import engineering, symbol
+from hydrojax.report.text import engineering, in_picture, symbol
 
 if TYPE_CHECKING:
     from hydrojax.identify.results.outcome import Outcome, Series
@@ -67,7 +67,9 @@ def traces_figure(outcome: Outcome) -> Figure | None:
     after = (measured - s.after[name][part]) / factor
     label = "model after" if changed else "model"
     ax.plot(t, after, color=AFTER, lw=1.1, label=label)
-    ax.set(xlabel=f"time [s], {s.log}", ylabel=f"{symbol(name)} [{unit or 1}]")
+    ax.set(
+        xlabel=f"time [s], {in_picture(s.log)}", ylabel=f"{symbol(name)} [{unit or 1}]"
+    )
     ax.margins(x=0.01)
     figure.legend(loc="outside upper center", ncols=3)
     return figure

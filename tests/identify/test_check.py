@@ -358,6 +358,45 @@ def test_a_sensor_that_stands_and_one_that_clips(honest):
     assert {("F", "stuck"), ("P_a1", "clipped")} <= said
 
 
+@pytest.mark.parametrize(
+    ("rows", "value"), [(slice(5000, 5100), 0.0), (slice(700, 701), 1e9)]
+)
+def test_one_bad_sensor_has_no_other_rescaled(honest, rows, value):
+    """A loose plug for a tenth of a second, and one bad cell: the force was said to be
+    4 and 100 times too small, and a trace went on with it multiplied.
+    """
+    rig, (log, other) = honest
+    P = log.signals["P_a1"].copy()
+    P[rows] = value
+    bad = replace(log, signals=log.signals | {"P_a1": P})
+    (found,) = hj.check(rig, [bad, other]).found
+    assert (found.input, found.finding) == ("P_a1", "stray")
+    assert not mended(rig, [found])[1][0].mended
+    assert hj.check(rig, [log, other]).found == ()
+
+
+def test_a_coarse_sensor_that_flickers_does_not_jump(honest):
+    _, (log, other) = honest
+    P = np.full(len(log.time), 14e6)
+    P[::3000] += 8.5e3
+    logs = [replace(g, signals=g.signals | {"P_s": P}) for g in (log, other)]
+    assert channel_table(logs).strays["P_s"] == 0
+    P[1234] += 30 * 8.5e3
+    assert channel_table(logs).strays["P_s"] > 0
+
+
+def test_a_supply_of_zero_is_no_supply(honest):
+    """All pressures were said to be 100 times too large, and were mended."""
+    rig, logs = honest
+    dead = [
+        replace(log, signals=log.signals | {"P_s": 0.0 * log.signals["P_s"]})
+        for log in logs
+    ]
+    (found,) = hj.check(rig, dead).found
+    assert (found.input, found.finding) == ("P_s", "stuck")
+    assert "give [supply] P_s" in found.says
+
+
 def test_a_coarse_sensor_at_rest_is_not_stuck(honest):
     """It reads one value for a second and goes on by one step; one that is stuck comes
     back elsewhere.

@@ -152,6 +152,27 @@ def test_times_of_one_day(form: str, tmp_path: Path) -> None:
     check(Log.load(tmp_path / "log.csv"))
 
 
+@pytest.mark.parametrize("zone", ["Z", "+01:00", " +0100"])
+@pytest.mark.parametrize("start", ["2024-03-01 10:00:59.9", "2024-03-01 23:59:59.900"])
+def test_stamps_with_a_zone(zone: str, start: str, tmp_path: Path) -> None:
+    stamps = [f"{s}{zone}" for s in stamped("%Y-%m-%dT%H:%M:%S.%f", start)]
+    (tmp_path / "log.csv").write_text(as_csv({**RUN, "time [s]": stamps}))
+    check(Log.load(tmp_path / "log.csv"))
+
+
+def test_times_of_day_may_pass_midnight(tmp_path: Path) -> None:
+    run = {**RUN, "time [s]": stamped("%H:%M:%S.%f")}
+    (tmp_path / "log.csv").write_text(as_csv(run))
+    check(Log.load(tmp_path / "log.csv"))
+
+
+def test_degrees_in_german_are_no_gon(tmp_path: Path) -> None:
+    """Which they were read as: 10 % less."""
+    run = {**RUN, "psi [grad]": RUN["time [s]"]}
+    line = refusal(tmp_path / "log.csv", as_csv(run))
+    assert "may be degrees or gon; write deg or gon" in line
+
+
 def test_dates_that_mean_two_days_are_refused(tmp_path: Path) -> None:
     run = {**RUN, "time [s]": stamped("%m/%d/%Y %H:%M:%S.%f")}
     line = refusal(tmp_path / "log.csv", as_csv(run))

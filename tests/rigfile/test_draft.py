@@ -234,3 +234,39 @@ def test_the_schema_takes_a_draft_and_refuses_what_the_program_refuses(log, call
     assert printed.code == 0 and json.loads(printed.out) == json.loads(
         json.dumps(schema)
     )
+
+
+def of_seconds(path: Path, change=lambda columns: columns) -> Path:
+    columns = {"time": T, **{n: c for n, c in a_log().items() if n != "Zeit"}}
+    return written(path, change(columns))
+
+
+def test_a_pressure_by_its_documented_name_has_no_unit_in_it(tmp_path):
+    """The s of P_s is no second, and the psi of an angle no pressure."""
+    supply = 140 + np.sin(T)
+    path = written(tmp_path / "run.csv", a_log(P_s=supply))
+    assert RigFile.from_log(path, **SIZES).channels["P_s"].unit == "bar"
+
+
+def test_the_time_of_day_is_taken_beside_a_date(tmp_path):
+    def dated(columns):
+        return {"Date": np.full(T.size, "01.03.2024"), "Time": T} | {
+            n: c for n, c in columns.items() if n != "time"
+        }
+
+    rig = RigFile.from_log(of_seconds(tmp_path / "run.csv", dated), **SIZES)
+    assert rig.channels["time"].column == "Time"
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda c: {n: y[:1] for n, y in c.items()}, "at least 50 rows, and it has 1"),
+        (lambda c: c | {"Kraft": np.full(T.size, np.nan)}, "'Kraft' holds no number"),
+        (lambda c: c | {"time": np.floor(T / 2)}, "time repeats"),
+    ],
+)
+def test_a_log_that_none_can_be_is_refused(tmp_path, change, says, recwarn):
+    with pytest.raises(InputError, match=says):
+        RigFile.from_log(of_seconds(tmp_path / "run.csv", change), **SIZES)
+    assert not recwarn.list

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 
 from hydrojax import units
@@ -154,12 +155,22 @@ def _by_name(
         else {"A": "P_a1", "B": "P_a2", "bore": "P_a2", "rod": "P_a1"}
     )
     for name, several in found.items():
+        if name == "time":  # a date has the time of day in a column of its own
+            several.sort(key=_is_bare_date)
         signal = sides.get(name, name)
         doubts = [f"or {c.label!r}?" for c in several[1:]]
         if two_areas and name in "AB":
             doubts.append(f"taken for the {'bore' if name == 'A' else 'rod'} side")
         out.setdefault(signal, (several[0], tuple(doubts)))
     return out
+
+
+def _is_bare_date(column: Column) -> bool:
+    """Whether a column begins with a date without a time of day."""
+    if np.ndim(column.values) != 1:
+        return False
+    first = next((str(c).strip() for c in pd.Series(column.values).dropna()), "")
+    return bool(re.fullmatch(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}", first))
 
 
 def _words(column: Column) -> str:
@@ -175,6 +186,8 @@ def _words(column: Column) -> str:
 
 def _suffix(column: Column) -> str:
     """The unit at the end of a name such as `t_ms`, "" if there is none."""
+    if column.name in SIGNALS:  # of `P_s` and `F_d` the last letter is no unit
+        return ""
     head, _, tail = column.name.rpartition("_")
     return tail if head and tail in _SUFFIXES else ""
 
@@ -191,14 +204,16 @@ def _read(
         return Guess(column, "s", clock, column.name == name, doubts=doubts)
     values = as_floats(file, where, column.values)
     unit, said = column.unit, ()
+    want = SIGNALS[name]
     if unit is None:
         unit = _suffix(column)
+        if name != "u" and unit and not units.fits(unit, want):
+            unit = ""
     if not unit:
         largest = _largest(values)
         unit = _likely(name, values, max(largest, least))
         size = f"largest {largest:.4g}" if name != "time" else "by its steps"
         said = (f"the log gives no unit: {size}",)
-    want = SIGNALS[name]
     if name == "u":
         want = "V" if units.fits(unit, "V") else "1"
     si = units.to_si(values, unit, want, where)
@@ -209,6 +224,8 @@ def _read(
 def _likely(name: str, values: Float[np.ndarray, "rows"], largest: float) -> str:
     """The unit that values of a signal have by their size, or by their steps."""
     if name == "time":
-        step = float(np.nanmedian(np.diff(values)))
+        steps = np.diff(values)
+        steps = steps[np.isfinite(steps)]
+        step = float(np.median(steps)) if len(steps) else 0.0
         return "s" if step < 0.2 else "ms" if step < 100 else "us"
     return next(u for u, most in CHOICES.get(name, _PRESSURES) if largest <= most)

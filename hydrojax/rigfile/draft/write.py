@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from hydrojax import units
 from hydrojax.errors import InputError, check_known
-from hydrojax.logs.tables import is_bag, read_table
+from hydrojax.logs.columns import check_time, check_values, merged_rows
+from hydrojax.logs.log import check_rows
+from hydrojax.logs.tables import File, is_bag, read_table
 from hydrojax.plant.layout import LAYOUTS
 from hydrojax.rigfile.draft.columns import Guess, guess_signals
 from hydrojax.rigfile.draft.sizes import (
@@ -54,7 +57,7 @@ def read_log(
         check_known("--layout", [layout], LAYOUTS, "layout")
     file = read_table(path)
     two = layout == "differential" or (not layout and sizes.rod != 0)
-    signals = guess_signals(file, columns, two)
+    signals = _sound(file, guess_signals(file, columns, two))
     if not layout:
         one = ("P_a1" in signals) != ("P_a2" in signals)
         layout = "single" if one else "differential" if sizes.rod != 0 else "pull-pull"
@@ -71,6 +74,23 @@ def read_log(
                 "from logs of one logger"
             )
     return Read(file, _turned(signals, LAYOUTS[layout].driven), layout, sizes)
+
+
+def _sound(file: File, signals: dict[str, Guess]) -> dict[str, Guess]:
+    """The signals, with rows of one stamp as one.
+
+    Raises:
+        InputError: no log could have these; see `Log.load`.
+    """
+    arrays = {name: g.values for name, g in signals.items()}
+    labels = {name: g.column.label for name, g in signals.items()}
+    check_rows(file, labels, arrays)
+    coarse = check_time(file, labels["time"], arrays["time"])
+    for name, values in arrays.items():
+        check_values(file, name, labels[name], values)
+    if coarse:
+        arrays, _ = merged_rows(arrays)
+    return {name: replace(g, values=arrays[name]) for name, g in signals.items()}
 
 
 def _turned(signals: dict[str, Guess], driven: bool) -> dict[str, Guess]:
