@@ -22,6 +22,7 @@ from jaxtyping import Float
 
 from hydrojax.errors import WORD, InputError, one_line
 from hydrojax.logs.columns import (
+    Signals,
     assigned,
     check_time,
     check_values,
@@ -254,10 +255,12 @@ def _between(
     return interpolate.make_interp_spline(time, y, k=DEGREE)
 
 
-def check_rows(
-    file: File, labels: Mapping[str, str], arrays: Mapping[str, np.ndarray]
-) -> None:
-    """Refuse columns of different lengths, and too few rows."""
+def check_rows(file: File, labels: Mapping[str, str], arrays: Signals) -> None:
+    """Refuse columns of different lengths, and too few rows.
+
+    Raises:
+        InputError: there are such.
+    """
     rows = len(arrays["time"])
     for name, values in arrays.items():
         if len(values) != rows:
