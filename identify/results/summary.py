@@ -334,9 +334,11 @@ def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
         also = f" (and {len(mended) - 1} more)" if len(mended) > 1 else ""
         lead = f"An input looks wrong: {mended[0].says}{also}. With it mended:"
     else:
-        # Nothing is blamed that an effect explains as well: see `checking.factors`.
-        beyond = ", and explains at least as much as any effect"
-        lead = f"An input looks wrong{beyond if outcome.effects else ''}: "
+        # A balance blames nothing that an effect explains as well (`checking.factors`);
+        # a sensor's own readings say nothing of that.
+        compared = outcome.effects and found[0].error is not None
+        beyond = ", and explains at least as much as any effect" if compared else ""
+        lead = f"An input looks wrong{beyond}: "
         lead += f"{found[0].says}."
         same = [e.name for e in outcome.effects if e.name in found[0].effects]
         if same:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,12 +11,14 @@ from scipy.interpolate import CubicSpline
 
 import hydrojax as hj
 from benchmarks.machines import files, record
-from hydrojax.identify import api
+from hydrojax.identify import api, late
 from hydrojax.identify.case import open_case
-from hydrojax.identify.checking.mended import mended_case
+from hydrojax.identify.checking.mended import mended, mended_case
 from hydrojax.identify.checking.words import late_position
 from hydrojax.identify.late import _lowest, with_delay_replayed, with_late_position
 from hydrojax.identify.tracing.state import Tracing
+from hydrojax.rigfile.schema import RigFile
+from tests.pages import ROOT
 
 
 @pytest.mark.parametrize("at", [-3.6, -0.3, 0.0, 2.45])
@@ -93,3 +96,16 @@ def test_what_a_model_lacks_is_not_a_late_position(seed, tmp_path):
     rms = state.check.rms(state.check.errors_at(state.point.values))
     assert np.max(rms[:2] / state.noise[:2]) > 2.0
     assert with_late_position(case, (), state, print) == ()
+
+
+def test_a_position_that_replays_have_early_is_not_called_late(monkeypatch):
+    """The balances called it 0.3 ms late, and the model leaves least 0.7 ms before."""
+    given = RigFile.load(ROOT / "hydrojax/demo/rig.toml")
+    called = late_position(given, "psi", 0.3e-3)
+    spec, found = mended(given, [called])
+    case = SimpleNamespace(spec=spec, read_logs=[SimpleNamespace(time=[0.0, 1e-3])])
+    problem, point = SimpleNamespace(sees_pressures=True), SimpleNamespace(weights=None)
+    for moves, left in ((-5.0, 0), (-1.0, 1), (1.0, 1)):
+        monkeypatch.setattr(late, "_lowest", lambda _, at=moves: at)
+        out = late.with_delay_replayed(case, given, found, problem, point, (), print)
+        assert len(out) == left

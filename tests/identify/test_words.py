@@ -77,6 +77,15 @@ def test_a_factor_and_the_effect_that_does_the_same_are_one_error():
     assert "loadcell_gain is the same error under another name" in both
 
 
+def test_a_sensor_that_lies_is_not_said_to_explain_what_effects_do():
+    stray = Finding("P_a1", "stray", None, None, None, "", "P_a1 jumps away and back")
+    area = Finding("area", "factor", 0.98, 6.9, 4.1, "N", "area is 2 % too large")
+    compared = "explains at least as much as any effect"
+    said = {f.input: with_inputs(explained(), (f,)).sentence for f in (stray, area)}
+    assert said["P_a1"].startswith("An input looks wrong: P_a1 jumps")
+    assert compared not in said["P_a1"] and compared in said["area"]
+
+
 def test_no_factor_is_blamed_that_a_balance_closes_less_well_with_than_the_runs():
     found = replace(explained(), effects=())  # its F is off by 31 N before
     says = "area is 11 % too large"
