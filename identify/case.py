@@ -20,6 +20,7 @@ from hydrojax.identify.preparation.data import Data, driver, prepare_logs, runs_
 from hydrojax.identify.preparation.noise import channel_noise
 from hydrojax.identify.preparation.resolution import NoiseBy, resolve
 from hydrojax.identify.preparation.segments import common_band
+from hydrojax.identify.preparation.strays import without_strays
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.logs.tables import Channel
@@ -292,7 +293,9 @@ def _prepared(
     criteria: Criteria,
 ) -> Case:
     """The logs made ready; `tests` take no part in how."""
-    every, as_read = (*fitted, *others), (fitted, others, tests)
+    as_read = (fitted, others, tests)
+    fitted, others, tests = (tuple(map(without_strays, group)) for group in as_read)
+    every = (*fitted, *others)
     driven_by = driver(every, spec)
     band = common_band(every, spec, driven_by, criteria)
     noise = channel_noise(every, spec, driven_by)

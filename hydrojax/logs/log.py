@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from hydrojax.errors import WORD, InputError, one_line
 from hydrojax.logs.columns import (
@@ -199,6 +199,42 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
         name, time, arrays, stored, ignored, merged, segments, (*notes, *cuts),
         dict(channels),
     )  # fmt: skip
+
+
+def with_holes(
+    log: Log,
+    holes: Mapping[str, Bool[np.ndarray, "rows"]],
+    notes: Iterable[str],
+    shortest: float = SHORTEST,
+) -> Log:
+    """A log as if some readings were empty cells of its file.
+
+    Args:
+        log: as it was read.
+        holes: which readings, by signal.
+        notes: why, for the report.
+        shortest: s, the least length of a segment.
+
+    Returns:
+        The log in other segments, without the rows of lone holes; with no segment where
+        none is long enough.
+    """
+    outside = np.ones(len(log.time), dtype=bool)
+    for start, stop in log.segments:
+        outside[start:stop] = False
+    arrays = {
+        name: np.where(holes[name], np.nan, y) if name in holes else y
+        for name, y in log.signals.items()
+    }
+    arrays, _ = without_lone_holes(
+        arrays | {"time": log.time, "outside": outside + 0.0}
+    )
+    outside, time = arrays.pop("outside") > 0, arrays.pop("time")
+    whole = {**arrays, "inside": np.where(outside, np.nan, 0.0)}
+    segments, _ = segments_of(time, whole, shortest)
+    return replace(
+        log, time=time, signals=arrays, segments=segments, notes=(*log.notes, *notes)
+    )
 
 
 DEGREE = 7

@@ -19,7 +19,8 @@ from matplotlib.figure import Figure
 from hydrojax.identify.checking.findings import inputs_that_lie
 from hydrojax.identify.checking.inputs import Inputs, inputs_of
 from hydrojax.identify.checking.sensors import ROLL_OFF, channel_table, log_table
-from hydrojax.identify.checking.words import Finding
+from hydrojax.identify.checking.words import Finding, of_strays
+from hydrojax.identify.preparation.strays import without_strays
 from hydrojax.identify.report.explorer import condensed
 from hydrojax.identify.report.figures import AFTER, STYLE, png, sheet
 from hydrojax.logs.log import Log
@@ -222,9 +223,12 @@ def check_inputs(spec: RigFile, logs: Sequence[Log]) -> Checked:
     Raises:
         InputError: logs without motion, or that differ in their signals.
     """
-    of = inputs_of(spec, logs)
-    channels = channel_table(logs)
-    found = inputs_that_lie(of, channels, spec.base)
+    cut = [without_strays(log) for log in logs]
+    of = inputs_of(spec, cut)
+    channels, kept = channel_table(logs), channel_table(cut)
+    found = tuple(of_strays(channels, kept))
+    if all(f.mended for f in found):  # no balance closes with a sensor that lies
+        found += inputs_that_lie(of, kept, spec.base)
     return Checked(
         spec.name,
         found,

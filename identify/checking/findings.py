@@ -39,8 +39,8 @@ def inputs_that_lie(
     """
     sensors = words.of_sensors(channels, of.h)
     dead = (f.finding == "stuck" and channels.repeated[f.input] > DEAD for f in sensors)
-    if any(dead) or any(f.finding == "stray" for f in sensors):
-        return tuple(sensors)  # no balance closes with a sensor that is dead, or lies
+    if any(dead):
+        return tuple(sensors)  # no balance closes with a sensor that is dead
     mended, scale, found = of, dict.fromkeys(channels.index, 1.0), []
     for mend, before, after in mends_wanted(of):
         one = words.of_mend(mend, before, after, of)

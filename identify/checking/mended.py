@@ -41,7 +41,8 @@ def mended(spec: RigFile, found: Sequence[Finding]) -> tuple[RigFile, Findings]:
     """
     out = []
     for one in found:
-        f = replace(one, mended=False)
+        # Stray readings are left out where a case is made ready.
+        f = one if one.finding == "stray" else replace(one, mended=False)
         if _to_be_mended(f):
             with suppress(InputError):  # a value that no rig can have
                 spec, f = applied(spec, f.lines), replace(f, mended=True)

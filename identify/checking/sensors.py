@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy import signal
 
 from hydrojax.identify.preparation.noise import estimate_noise
+from hydrojax.identify.preparation.strays import runs_of, strays_in
 from hydrojax.logs.log import Log
 from hydrojax.rigfile.recording import position
 from hydrojax.rigfile.schema import RigFile
@@ -28,11 +29,6 @@ JUMP = 3.0
 """Times the next step on, from which a step out of a run of one reading is a jump."""
 DEAD = 0.99
 """Share of readings equal to the one before from which a sensor is dead."""
-STRAY = 20.0
-"""Times the step that 999 of 1000 stay below, or the sensor's least, from which a
-reading jumps away, if as far a jump back ends it."""
-FEW = 0.1
-"""Share of a stretch that one jump away takes at most."""
 CLIPPED = 1e-3
 """Share of the readings at an end of the range, in runs, from which it is clipped."""
 ROLL_OFF = 6.0
@@ -120,13 +116,16 @@ def _channel(name: str, logs: Sequence[Log]) -> Readings:
     resolution = float(np.min(steps, initial=high - low))
     repeated = float(np.mean(np.diff(whole) == 0))
     rest = REST * resolution if repeated < DEAD else 0.0
-    runs = [_runs(y) for _, y in pieces]
+    runs = [runs_of(y) for _, y in pieces]
     longest = max(
         h * _longest_hold(y, r, rest) for (h, y), r in zip(pieces, runs, strict=True)
     )
     held = np.concatenate([np.repeat(r, r) for r in runs])
     ends = np.concatenate([(y == y.min()) | (y == y.max()) for _, y in pieces])
     loud = [estimate_noise(y) for _, y in pieces if np.ptp(y) > 0 and len(y) > 7]
+    strays = np.concatenate(
+        [strays_in(y, r) for (_, y), r in zip(pieces, runs, strict=True)]
+    )
     pressure = name.startswith("P_")
     return Readings(
         logs[0].units.get(name, ""),
@@ -139,14 +138,8 @@ def _channel(name: str, logs: Sequence[Log]) -> Readings:
         longest,
         max((_roll_off(y) for _, y in pieces if np.ptp(y) > 0), default=0.0),
         float(np.mean(whole < VACUUM)) if pressure else 0.0,
-        sum(_strays(y, r) for (_, y), r in zip(pieces, runs, strict=True)) / len(whole),
+        float(np.mean(strays)),
     )
-
-
-def _runs(y: Float[np.ndarray, "rows"]) -> np.ndarray:
-    """Lengths of the runs of one value, in ticks."""
-    turns = np.flatnonzero(np.diff(y) != 0)
-    return np.diff(np.concatenate([[-1], turns, [len(y) - 1]]))
 
 
 def _longest_hold(y: Float[np.ndarray, "rows"], runs: np.ndarray, step: float) -> int:
@@ -158,25 +151,6 @@ def _longest_hold(y: Float[np.ndarray, "rows"], runs: np.ndarray, step: float) -
     into = (size[ends] > step) & (size[ends] > JUMP * size[ends - 1])
     around = np.concatenate([[False], into]) | np.concatenate([after, [False]])
     return int(np.max(runs[around], initial=1))
-
-
-def _strays(y: Float[np.ndarray, "rows"], runs: np.ndarray) -> int:
-    """How many readings jump away and back: a loose plug, a lost telegram, a bad cell.
-
-    Between the two jumps, each the other's opposite to a factor of two, stands one
-    value.
-    """
-    steps = np.diff(y)
-    sizes, ends = np.abs(steps), np.cumsum(runs)[:-1]
-    if len(ends) < 2:
-        return 0
-    away, back = steps[ends[:-1] - 1], -steps[ends[1:] - 1]
-    # Of a coarse sensor that hardly moves most steps are 0: the least that is not.
-    least = STRAY * max(np.quantile(sizes, 0.999), np.min(sizes[sizes > 0]))
-    jumps = (np.abs(away) > least) & (away * back > 0)
-    jumps &= (np.abs(away) < 2 * np.abs(back)) & (np.abs(back) < 2 * np.abs(away))
-    held = runs[1:-1]
-    return int(np.sum(held[jumps & (held <= FEW * len(y))]))
 
 
 def _roll_off(y: Float[np.ndarray, "rows"]) -> float:

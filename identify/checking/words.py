@@ -32,6 +32,7 @@ from hydrojax.identify.checking.sensors import (
     STUCK,
     VACUUM,
 )
+from hydrojax.identify.preparation.strays import MAY_STRAY
 from hydrojax.logs.tables import SIGNALS
 from hydrojax.parameters import Spec
 from hydrojax.rigfile.edit import text
@@ -73,7 +74,7 @@ class Finding:
     Attributes:
         input: a signal, or a key of the rig file; several are joined by commas.
         finding: `sign`, `exchanged`, `unit`, `delay`, `factor`, `left out`, `noise`,
-            `stuck`, `clipped` or `vacuum`.
+            `stray`, `stuck`, `clipped` or `vacuum`.
         factor: what the input is to be multiplied by; None where that mends nothing.
         error: RMS of the balance that shows it, as given; None where none does.
         error_if_mended: the same with the input mended.
@@ -318,6 +319,23 @@ def of_noise(of: Inputs, noise: Mapping[str, float]) -> list[Finding]:
     return out
 
 
+def of_strays(with_them: pd.DataFrame, without: pd.DataFrame) -> list[Finding]:
+    """Readings that jump away and back, mended where the logs as they are fitted have
+    none; by the channels' tables of both.
+    """
+    out = []
+    at = with_them.strays
+    for name in (n for n in MAY_STRAY if n in at.index and at[n] > 0):
+        mended = bool(without.strays[name] == 0)
+        do = "these rows are left out" if mended else "leave these cells empty"
+        says = (
+            f"{name} jumps away and back at once in {100 * at[name]:.2g} % of its "
+            f"readings, as with a loose plug or a bad cell: {do}"
+        )
+        out.append(Finding(name, "stray", None, None, None, "", says, mended=mended))
+    return out
+
+
 def of_sensors(channels: pd.DataFrame, h: float) -> list[Finding]:
     """Readings that no sound sensor gives; `h` is the logs' step, s."""
     out = []
@@ -330,11 +348,6 @@ def of_sensors(channels: pd.DataFrame, h: float) -> list[Finding]:
         if name == "P_s" and own.low == own.high <= 0.0:
             add(name, "stuck", "P_s is 0 all the time, no supply: take the column out "
                 "and give [supply] P_s")  # fmt: skip
-            continue
-        if own.strays > 0:
-            add(name, "stray", f"{name} jumps away and back at once in "
-                f"{100 * own.strays:.2g} % of its readings, as with a loose plug or a "
-                "bad cell: leave these cells empty")  # fmt: skip
             continue
         if (
             own.high > own.low

@@ -330,17 +330,18 @@ def with_inputs(outcome: Outcome, found: tuple[Finding, ...]) -> Outcome:
     found = tuple(f for f in found if f.mended or _credible(f, outcome))
     if not found:
         return outcome
-    if mended := [f for f in found if f.mended]:
+    mended, rest = ([f for f in found if f.mended == is_so] for is_so in (True, False))
+    if mended and not (rest and all(f.finding == "stray" for f in mended)):
         also = f" (and {len(mended) - 1} more)" if len(mended) > 1 else ""
         lead = f"An input looks wrong: {mended[0].says}{also}. With it mended:"
     else:
         # A balance blames nothing that an effect explains as well (`checking.factors`);
         # a sensor's own readings say nothing of that.
-        compared = outcome.effects and found[0].error is not None
+        compared = outcome.effects and rest[0].error is not None
         beyond = ", and explains at least as much as any effect" if compared else ""
         lead = f"An input looks wrong{beyond}: "
-        lead += f"{found[0].says}."
-        same = [e.name for e in outcome.effects if e.name in found[0].effects]
+        lead += f"{rest[0].says}."
+        same = [e.name for e in outcome.effects if e.name in rest[0].effects]
         if same:
             lead += (
                 f" {same[0]} is the same error under another name, not a second one."

@@ -13,6 +13,7 @@ import pytest
 import hydrojax as hj
 from benchmarks.machines import files, record
 from benchmarks.trace.lies import Traced, lies_of, named
+from hydrojax.identify.case import open_case
 from hydrojax.identify.checking import factors
 from hydrojax.identify.checking.balances import EDGES, FLOW, OFFSETS
 from hydrojax.identify.checking.lines import applied, resized, turned
@@ -370,9 +371,51 @@ def test_one_bad_sensor_has_no_other_rescaled(honest, rows, value):
     P[rows] = value
     bad = replace(log, signals=log.signals | {"P_a1": P})
     (found,) = hj.check(rig, [bad, other]).found
-    assert (found.input, found.finding) == ("P_a1", "stray")
-    assert not mended(rig, [found])[1][0].mended
+    assert (found.input, found.finding, found.mended) == ("P_a1", "stray", True)
+    assert mended(rig, [found])[1] == (found,) and not found.lines
     assert hj.check(rig, [log, other]).found == ()
+
+
+def test_what_else_lies_is_found_beside_stray_readings(honest):
+    rig, (log, other) = honest
+    P = log.signals["P_a1"].copy()
+    P[5000:5100] = 0.0
+    bad = replace(log, signals=log.signals | {"P_a1": P})
+    both = [
+        replace(g, signals=g.signals | {"F": -g.signals["F"]}) for g in (bad, other)
+    ]
+    stray, turned = hj.check(rig, both).found
+    assert (stray.input, stray.finding) == ("P_a1", "stray")
+    assert (turned.input, turned.finding) == ("F", "sign")
+
+
+def test_a_case_is_without_stray_readings(honest):
+    """A stretch of them cuts the log, a lone one makes one tick as long as two."""
+    rig, (log, other) = honest
+    P, x = log.signals["P_a1"].copy(), log.signals["psi"].copy()
+    P[5000:5100], x[8000] = 0.0, x[8000] + 1.0
+    bad = replace(log, signals=log.signals | {"P_a1": P, "psi": x})
+    case = open_case(rig, [bad], [other])
+    (cut,) = case.fit_logs
+    assert cut.segments == ((0, 5000), (5100, len(log.time) - 1))
+    assert log.time[8000] not in cut.time and len(cut.time) == len(log.time) - 1
+    whole = np.concatenate([cut.signals["P_a1"][:5000], cut.signals["P_a1"][5100:]])
+    assert whole == pytest.approx(
+        np.delete(log.signals["P_a1"], [*range(5000, 5100), 8000])
+    )
+    assert case.check_logs[0] is other and case.read_logs[0] is bad
+    left_out = "rows left out, as P_a1 jumps away and back: 100"
+    assert f"{bad.name}: {left_out}" in case.fit.notes
+
+
+def test_a_log_of_which_stray_readings_leave_too_little_stays(honest):
+    rig, (log, other) = honest
+    P = log.signals["P_a1"].copy()
+    rows = np.arange(len(P))
+    P[(rows % 400) < 3] = 0.0
+    bad = replace(log, signals=log.signals | {"P_a1": P})
+    (found,) = hj.check(rig, [bad, other]).found
+    assert (found.input, found.finding, found.mended) == ("P_a1", "stray", False)
 
 
 def test_a_coarse_sensor_that_flickers_does_not_jump(honest):

@@ -86,6 +86,19 @@ def test_a_sensor_that_lies_is_not_said_to_explain_what_effects_do():
     assert compared not in said["P_a1"] and compared in said["area"]
 
 
+def test_rows_that_are_left_out_do_not_hide_what_else_looks_wrong():
+    stray = Finding("P_a1", "stray", None, None, None, "", "P_a1 jumps", mended=True)
+    area = Finding("area", "factor", 0.98, 6.9, 4.1, "N", "area is 2 % too large")
+    sign = Finding("F", "sign", -1.0, 1e3, 4.0, "N", "F is turned round", mended=True)
+    said = [
+        with_inputs(explained(), (stray, *more)).sentence
+        for more in ((), (area,), (sign,))
+    ]
+    assert said[0].startswith("An input looks wrong: P_a1 jumps. With it mended:")
+    assert "area is 2 % too large" in said[1] and "P_a1" not in said[1]
+    assert "P_a1 jumps (and 1 more). With it mended:" in said[2]
+
+
 def test_no_factor_is_blamed_that_a_balance_closes_less_well_with_than_the_runs():
     found = replace(explained(), effects=())  # its F is off by 31 N before
     says = "area is 11 % too large"
