@@ -38,8 +38,9 @@ def inputs_that_lie(
         known: the parameters of [parameters].
     """
     sensors = words.of_sensors(channels, of.h)
-    dead = (f.finding == "stuck" and channels.repeated[f.input] > DEAD for f in sensors)
-    if any(dead):
+    stuck = [f.input for f in sensors if f.finding == "stuck"]
+    no_supply = "P_s" in stuck and words.is_no_supply(channels.loc["P_s"])
+    if no_supply or any(channels.repeated[n] > DEAD for n in stuck):
         return tuple(sensors)  # no balance closes with a sensor that is dead
     mended, scale, found = of, dict.fromkeys(channels.index, 1.0), []
     for mend, before, after in mends_wanted(of):

@@ -42,6 +42,10 @@ NOISE = (1 / 6, 7.0)
 """Ratios of a channel's noise to the stated one beyond which that is called: a slip of
 ten, less what colour takes from the differences and a lively force adds to them."""
 
+NO_SUPPLY = 20.0
+"""Times its noise up to which a supply's readings are 0: the noise, and a zero that is
+off by some per cent of a range."""
+
 SLOWEST = 5e-3
 """Seconds of a step beyond which differences are of the signal and not of its noise."""
 
@@ -336,6 +340,14 @@ def of_strays(with_them: pd.DataFrame, without: pd.DataFrame) -> list[Finding]:
     return out
 
 
+def is_no_supply(own: pd.Series) -> bool:
+    """Whether the supply's readings, a row of the channels' table, are 0 but for noise.
+
+    A sound one in another unit is as many times its noise as before.
+    """
+    return max(-own.low, own.high) <= NO_SUPPLY * own.noise
+
+
 def of_sensors(channels: pd.DataFrame, h: float) -> list[Finding]:
     """Readings that no sound sensor gives; `h` is the logs' step, s."""
     out = []
@@ -345,7 +357,7 @@ def of_sensors(channels: pd.DataFrame, h: float) -> list[Finding]:
 
     for name in (n for n in SENSORS if n in channels.index):
         own = channels.loc[name]
-        if name == "P_s" and own.low == own.high <= 0.0:
+        if name == "P_s" and is_no_supply(own):
             add(name, "stuck", "P_s is 0 all the time, no supply: take the column out "
                 "and give [supply] P_s")  # fmt: skip
             continue

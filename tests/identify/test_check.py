@@ -428,12 +428,15 @@ def test_a_coarse_sensor_that_flickers_does_not_jump(honest):
     assert channel_table(logs).strays["P_s"] > 0
 
 
-def test_a_supply_of_zero_is_no_supply(honest):
+@pytest.mark.parametrize(("zero", "noise"), [(0.0, 0.0), (5e4, 9e3), (-2e4, 2e3)])
+def test_a_supply_of_zero_is_no_supply(honest, zero, noise):
     """All pressures were said to be 100 times too large, and were mended."""
     rig, logs = honest
+    chance = np.random.default_rng(0)
     dead = [
-        replace(log, signals=log.signals | {"P_s": 0.0 * log.signals["P_s"]})
+        replace(log, signals=log.signals | {"P_s": zero + chance.normal(0, noise, n)})
         for log in logs
+        for n in (len(log.time),)
     ]
     (found,) = hj.check(rig, dead).found
     assert (found.input, found.finding) == ("P_s", "stuck")
