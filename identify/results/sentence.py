@@ -97,6 +97,33 @@ def verdict_sentence(
     return f"{start}{none} {channels}: {rest}.{hint}"
 
 
+def drift_sentence(
+    verdict: str,
+    effects: tuple[FoundEffect, ...],
+    channels: Mapping[str, ChannelErrors],
+    criteria: Criteria = Criteria(),
+) -> str:
+    """What is said of channels that are at their noise over windows, and not over runs
+    of 1 s; empty without one, or where something is above its noise anyway.
+
+    An error that hardly shows in a window adds up in longer runs, where the model only
+    comes near what the rig does.
+    """
+    if verdict == "unknown":
+        return ""
+    runs = {n: c.horizons["1"].after for n, c in channels.items() if "1" in c.horizons}
+    off = [
+        f"{n} is at {after / channels[n].noise:.3g} times its noise"
+        for n, after in runs.items()
+        if after is not None and after > criteria.drifts * channels[n].noise > 0
+    ]
+    if not off:
+        return ""
+    names = " and ".join(e.name for e in effects)
+    may = f"{names} may stand in for it" if names else "it hardly shows in windows"
+    return f" Over 1 s {' and '.join(off)}: something may still be missing; {may}."
+
+
 def motion_sentence(motion: PredictedMotion) -> str:
     """How far the position, and the force where it was measured, are off over whole
     logs.

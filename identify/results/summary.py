@@ -32,6 +32,7 @@ from hydrojax.identify.results.parts import (
     within_tolerance,
 )
 from hydrojax.identify.results.sentence import (
+    drift_sentence,
     verdict_sentence,
     with_ends,
     without_skill,
@@ -94,6 +95,7 @@ def summarise(
             ),
             _at_ends(state, uncertainty),
         )
+        + drift_sentence(verdict, effects, channels, state.criteria)
         + _slow_noise(case, channels, left, state.criteria),
         parameters=parameters_of(case, state, uncertainty, tuple(tolerated)),
         channels=channels,

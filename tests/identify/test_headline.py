@@ -18,7 +18,7 @@ from hydrojax.identify.results.outcome import (
     Parameter,
 )
 from hydrojax.identify.results.parts import within_tolerance
-from hydrojax.identify.results.sentence import verdict_sentence
+from hydrojax.identify.results.sentence import drift_sentence, verdict_sentence
 from hydrojax.identify.results.unexplained import LeftOpen
 from tests.identify.test_report import OUTCOMES, explained
 
@@ -51,6 +51,31 @@ def test_a_sentence_counts_its_effects():
     assert " were found and added and take away " in said("unknown", two)
     assert " was found and added and takes away " in said("unknown", two[:1])
     assert "added" not in said("unknown", ())
+
+
+@pytest.mark.parametrize(
+    ("verdict", "times", "said"),
+    [
+        ("explained", 1.75, "internal_leakage and position_friction may stand in"),
+        ("explained", 1.13, ""),
+        ("explained", None, ""),
+        ("nothing missing", 1.75, "it hardly shows in windows"),
+        ("unknown", 1.75, ""),
+    ],
+)
+def test_an_error_that_adds_up_over_a_second_is_said(verdict, times, said):
+    found = explained()
+    F = found.channels["F"]
+    after = None if times is None else times * F.noise
+    runs = {
+        "0.25": Horizon(31.0, 2.6, 300.0, None),
+        "1": Horizon(90.0, after, 1e3, None),
+    }
+    effects = found.effects if verdict == "explained" else ()
+    sentence = drift_sentence(verdict, effects, {"F": replace(F, horizons=runs)})
+    assert said in sentence and bool(said) == bool(sentence)
+    if said:
+        assert sentence.startswith(" Over 1 s F is at 1.75 times its noise: ")
 
 
 @pytest.mark.parametrize(("share", "hint"), [(0.6, True), (0.98, False)])
