@@ -286,8 +286,8 @@ class Criteria:
     named in the place of laws outside the vocabulary took up to 0.96 of it
     (`benchmarks.trace --more unnamed`)."""
     drifts: float = 1.3
-    """RMS error over the noise in runs of 1 s from which a channel that is at its
-    noise over windows is said not to be over longer runs, 1. It was 1.13 with the
+    """RMS error of the force over its noise in runs of 1 s from which one that is at
+    its noise over windows is said not to be over longer runs, 1. It was 1.13 with the
     effect that was missing (`hydrojax demo`), and 1.75 with others in its place
     (`outside-weeping_rod-3` of `benchmarks.trace.discover`)."""
 

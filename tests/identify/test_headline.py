@@ -76,6 +76,7 @@ def test_an_error_that_adds_up_over_a_second_is_said(verdict, times, said):
     assert said in sentence and bool(said) == bool(sentence)
     if said:
         assert sentence.startswith(" Over 1 s F is at 1.75 times its noise: ")
+    assert drift_sentence(verdict, effects, {"P_a1": replace(F, horizons=runs)}) == ""
 
 
 @pytest.mark.parametrize(("share", "hint"), [(0.6, True), (0.98, False)])
