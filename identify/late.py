@@ -21,6 +21,7 @@ from hydrojax.identify.estimation.fit import (
     in_short,
 )
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.preparation.strays import without_strays
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log, brought_forward
 from hydrojax.rigfile.schema import RigFile
@@ -152,7 +153,8 @@ class _Error:
 
 
 def _later(log: Log, name: str, seconds: float) -> Log:
-    """The log with a signal brought forward by some more time."""
+    """The log, less stray readings, with a signal brought forward by some more time."""
+    log = without_strays(log)
     signals, segments = brought_forward(
         log.time, log.signals, log.segments, {name: seconds}
     )

@@ -205,7 +205,6 @@ def with_holes(
     log: Log,
     holes: Mapping[str, Bool[np.ndarray, "rows"]],
     notes: Iterable[str],
-    shortest: float = SHORTEST,
 ) -> Log:
     """A log as if some readings were empty cells of its file.
 
@@ -213,11 +212,10 @@ def with_holes(
         log: as it was read.
         holes: which readings, by signal.
         notes: why, for the report.
-        shortest: s, the least length of a segment.
 
     Returns:
         The log in other segments, without the rows of lone holes; with no segment where
-        none is long enough.
+        none lasts `SHORTEST`.
     """
     outside = np.ones(len(log.time), dtype=bool)
     for start, stop in log.segments:
@@ -231,7 +229,7 @@ def with_holes(
     )
     outside, time = arrays.pop("outside") > 0, arrays.pop("time")
     whole = {**arrays, "inside": np.where(outside, np.nan, 0.0)}
-    segments, _ = segments_of(time, whole, shortest)
+    segments, _ = segments_of(time, whole, SHORTEST)
     return replace(
         log, time=time, signals=arrays, segments=segments, notes=(*log.notes, *notes)
     )

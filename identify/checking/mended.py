@@ -10,6 +10,7 @@ from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.checking.lines import applied
 from hydrojax.identify.checking.words import Finding
+from hydrojax.identify.preparation.strays import without_strays
 from hydrojax.logs.log import Log, brought_forward
 from hydrojax.rigfile.schema import RigFile
 
@@ -64,6 +65,8 @@ def read_again(log: Log, mended: Sequence[Finding], spec: RigFile) -> Log:
         mended: the findings, in their order.
         spec: the mended rig file.
     """
+    # A spline between rows that it brings forward would spread them over others.
+    log = without_strays(log)
     signals = dict(log.signals)
     for f in mended:
         names = [n for n in f.input.split(", ") if n in signals]

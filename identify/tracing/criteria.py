@@ -289,7 +289,8 @@ class Criteria:
     """RMS error of the force over its noise in runs of 1 s from which one that is at
     its noise over windows is said not to be over longer runs, 1. It was 1.13 with the
     effect that was missing (`hydrojax demo`), and 1.75 with others in its place
-    (`outside-weeping_rod-3` of `benchmarks.trace.discover`)."""
+    (`hydrojax trace` of what `benchmarks.trace.discover` records as
+    `outside-weeping_rod-3`)."""
 
     correlates: float = 0.08
     """Share of the residual variance that a signal must explain to be named, 1.

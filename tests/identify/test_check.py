@@ -16,11 +16,12 @@ from benchmarks.trace.lies import Traced, lies_of, named
 from hydrojax.identify.case import open_case
 from hydrojax.identify.checking import factors
 from hydrojax.identify.checking.balances import EDGES, FLOW, OFFSETS
-from hydrojax.identify.checking.lines import applied, resized, turned
+from hydrojax.identify.checking.lines import applied, columns, resized, turned
 from hydrojax.identify.checking.mended import mended, read_again
 from hydrojax.identify.checking.regression import Fitted
 from hydrojax.identify.checking.sensors import channel_table
 from hydrojax.identify.checking.words import Finding, late_position, with_delay
+from hydrojax.identify.late import _later
 
 TRIED = (
     "area -2%", "P_s -10%", "psi turned round", "P_a1 turned round",
@@ -406,6 +407,19 @@ def test_a_case_is_without_stray_readings(honest):
     assert case.check_logs[0] is other and case.read_logs[0] is bad
     left_out = "rows left out, as P_a1 jumps away and back: 100"
     assert f"{bad.name}: {left_out}" in case.fit.notes
+
+
+def test_a_channel_brought_forward_does_not_spread_stray_readings(honest):
+    rig, (log, _) = honest
+    psi = log.signals["psi"].copy()
+    psi[8000] += 1.0
+    bad = replace(log, signals=log.signals | {"psi": psi})
+    late = Finding("psi", "delay", None, None, None, "", "", mended=True)
+    spec = applied(rig, columns(rig, ["psi"], delay="5.5 ms"))
+    own, sound = (read_again(g, [late], spec).signals["psi"] for g in (bad, log))
+    assert np.max(np.abs(own)) < np.max(np.abs(sound)) + 0.01
+    spread = _later(bad, "psi", 0.0055).signals["psi"]
+    assert np.max(np.abs(spread)) < np.max(np.abs(sound)) + 0.01
 
 
 def test_a_log_of_which_stray_readings_leave_too_little_stays(honest):
