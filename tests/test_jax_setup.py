@@ -206,6 +206,15 @@ def test_a_program_of_pytrees_is_compiled_once_for_each_structure():
     assert len(traced) == 5
 
 
+def test_a_process_for_each_core_holds_a_quarter_of_the_memory():
+    gib = 2**30
+    assert programs._full(24 * gib, 2) == 3 * gib
+    assert programs._full(64 * gib, 2) == 4 * gib
+    assert programs._full(64 * gib, 64) == gib
+    assert programs._full(0, 4) == gib  # a system that does not say
+    assert gib <= programs._full() <= 4 * gib
+
+
 def test_programs_that_were_not_used_for_long_go_where_much_is_held(monkeypatch):
     traced: list[int] = []
 

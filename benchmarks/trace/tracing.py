@@ -80,7 +80,12 @@ def found(outcome: Any, truth: Mapping[str, Any]) -> Row:
             for c in outcome.candidates
         },
         "channels": {
-            n: {"noise": c.noise, "before": c.before, "after": c.after}
+            n: {
+                "noise": c.noise,
+                "before": c.before,
+                "after": c.after,
+                "horizons": {run: h.after for run, h in c.horizons.items()},
+            }
             for n, c in outcome.channels.items()
         },
         "parameters": {

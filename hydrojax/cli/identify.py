@@ -190,12 +190,13 @@ def _discovered(
 ) -> Result:
     """The trace with curves for what it left, traced again with them as effects."""
     from hydrojax import api
+    from hydrojax.identify.report.write import effects_path
 
     result = api.discover(result, progress=progress)
     if not result.curves:
         return result
     result.save(out, command_line(context))
-    load_effects([out / "my_effects.py"])
+    load_effects([effects_path(out, result.curves)])
     return api.retraced(result, starts, profile, progress)
 
 
@@ -217,7 +218,7 @@ def _finish(
     if json:
         print((out / "report.json").read_text(encoding="utf-8"), end="")
     elif not quiet:
-        print_outcome(outcome)
+        print_outcome(outcome, out)
         spent = outcome.seconds
         console.print(
             f"\ncompile {spent['compile']:.1f} s, run {spent['run']:.1f} s; "
@@ -233,8 +234,11 @@ def print_json(content: object) -> None:
     print(dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
 
 
-def print_outcome(outcome: Outcome) -> None:
-    """Print verdict, errors by channel, effects and remarks."""
+def print_outcome(outcome: Outcome, out: Path = Path()) -> None:
+    """Print verdict, errors by channel, effects and remarks of what was written to a
+    folder.
+    """
+    from hydrojax.identify.report.write import effects_path
     from hydrojax.identify.results.outcome import skill_text
     from hydrojax.report.text import quantity_text
 
@@ -265,7 +269,8 @@ def print_outcome(outcome: Outcome) -> None:
     for c in outcome.curves:
         console.print(
             f"{c.name}: {100 * c.share:.0f} % of the excess, "
-            f"{c.law or 'no formula does as well as the curve'}; in my_effects.py"
+            f"{c.law or 'no formula does as well as the curve'}; "
+            f"in {effects_path(out, outcome.curves).name}"
         )
     says = (f.says for f in outcome.inputs[1:])
     for line in (*says, *outcome.limits, *outcome.notes):

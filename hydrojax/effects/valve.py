@@ -350,22 +350,33 @@ class OrificeTransition(OrificeEffect):
 
 
 class Underlap(OrificeEffect):
-    """Open centre (V5): both sides open by `u_ul` at `u = 0`, one beyond `u_ul`.
+    """Open centre (V5): both sides open at `u = 0`, one beyond `u_ul`.
 
-    A step over which the spool changes sign is taken at its mean.
+    Within `u_ul` an edge opens by `g_ul (u + u_ul)`, beyond it as far for every step of
+    the command as an edge without underlap. Lands that are too short have a `g_ul` of
+    1: they stay open by `u_ul` more at any command. With 1/2 what the underlap adds has
+    gone at `u_ul`. A step over which the spool changes sign is taken at its mean.
     """
 
     name = "underlap"
     residual_axis = "u"
     u_ul: Float[Array, ""] = param(
-        "{u}", 0.0, 0.0, 5.0, "opening at zero", strength=True, size=0.05
-    )
+        "{u}", 0.0, 0.0, 5.0, "command at which one side has shut", strength=True,
+        size=0.05, grid=(0.02, 0.05, 0.12, 0.3, 0.8),
+    )  # fmt: skip
+    g_ul: Float[Array, ""] = param(
+        "1", 1.0, 0.25, 1.5, "opening per command within u_ul, over that beyond it",
+        grid=(1.0, 0.5),
+    )  # fmt: skip
 
     def opening(self, spool):
         def more(u):
             # At the edge of being shut it opens: the one-sided derivative at zero.
-            return jnp.where(u + self.u_ul >= 0, u + self.u_ul, 0.0) - jnp.where(
-                u >= 0, u, 0.0
+            near = self.g_ul * (u + self.u_ul)
+            opened = jnp.where(
+                u <= self.u_ul, near, u + (2 * self.g_ul - 1) * self.u_ul
             )
+            opened = jnp.where(u + self.u_ul >= 0, opened, 0.0)
+            return opened - jnp.where(u >= 0, u, 0.0)
 
         return more(spool), more(-spool)

@@ -68,9 +68,20 @@ def program(f: Callable[..., Any], **more: Any) -> Callable[..., Any]:
     return call
 
 
-FULL = 2**30
+def _full(memory: int | None = None, count: int | None = None) -> int:
+    """Bytes of `FULL` on a machine with so much memory and so many cores; its own."""
+    if memory is None:
+        memory = 0
+        with suppress(OSError, ValueError, AttributeError):  # not on every system
+            memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    count = count or os.cpu_count() or 1
+    return min(max(memory // (4 * count), 2**30), 2**32)
+
+
+FULL = _full()
 """Bytes of the process from which the programs used longest ago go before another one
-is made: what that takes comes on top."""
+is made: what that takes comes on top. A process for each core may take a quarter of the
+memory so; 1 GiB at least, and at most 4."""
 
 ROOM = 3 * 2**26
 """Bytes by which the process may grow before they go again: where all else that it

@@ -204,6 +204,33 @@ def of_supply(found: Factor, of: Inputs) -> Finding:
     )  # fmt: skip
 
 
+def supply_like_gains(
+    spec: RigFile, logged: bool, factor: float, force: bool
+) -> Finding:
+    """A supply pressure off by a factor, where what was found says that of all sensors.
+
+    Args:
+        spec: the rig file.
+        logged: whether the logs have the supply pressure.
+        factor: that brings it right.
+        force: whether the load cell is among the sensors.
+    """
+    factor = float(f"{factor:.4g}")
+    lines = (scaled if logged else resized)(spec, ["P_s"], factor)
+    all_read, effects = "P_a1 and P_a2 both read", ("pressure_sensor_gain",)
+    if force:
+        all_read = "P_a1, P_a2 and F all read"
+        effects = (*effects, "loadcell_gain")
+    says = (
+        f"P_s is {_percent(factor, 'too high', 'too low')}: write {written(lines)}; "
+        f"or, as these logs cannot tell, {all_read} "
+        f"{_percent(1 / factor, 'too much', 'too little')} ({', '.join(effects)})"
+    )
+    return Finding(
+        "P_s", "factor", factor, None, None, "", says, lines, effects=effects
+    )
+
+
 def of_delay(found: Delay, of: Inputs) -> Finding:
     """A position that is late."""
     size = stiffness(of.brought_forward("x", found.seconds))

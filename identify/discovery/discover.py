@@ -33,6 +33,7 @@ from hydrojax.identify.results.outcome import Outcome
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.parameters import specs
 from hydrojax.plant.friction import run_linear, run_stop
+from hydrojax.plant.places import PLACES
 from hydrojax.plant.replay import Motion, friction_memory
 from hydrojax.plant.rig import Rig
 from hydrojax.rigfile.build import build_rig, effects_of
@@ -159,6 +160,8 @@ def searched(
     fit, check = (samples_of(data, rig) for data in (case.fit, case.check))
     both = {name: own for name, own in fit.items() if name in check}
     laid = laid_over(both, start.state.named, case.spec.effects)
+    if not start.state.problem.simulate:  # pressures that are given follow no flow
+        laid = [o for o in laid if not PLACES[o.term.place].hydraulic]
     end = search(start, laid)
     curves = found_curves(end, start, case, fit, check)
     if not curves:

@@ -69,8 +69,13 @@ AXES = {
 OF_TURNS = list(PISTON)[list(PISTON).index("since") :]
 """Signals that are remembered where an effect asks for them."""
 
-NAMES = ("logaddexp(", "exp(", "sign(", "maximum(", "sin(", "cos(", "tanh(", "abs(")
+NAMES = ("logaddexp(", "exp(", "sign(", "maximum(", "minimum(", "sin(", "cos(", "tanh(",
+         "abs(")  # fmt: skip
 """What a form's code calls."""
+
+FAR = 600.0
+"""Exponent up to which a form falls: beyond it the law would be exactly 0, and an
+effect that is so where it is tried is refused."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +146,7 @@ def _with_signal(code: str, signal: str) -> str:
 def effect_file(rig: str, curves: Sequence[FoundCurve]) -> str:
     """The text of a Python file that defines an effect for each curve."""
     names = {"Array", "param"} | {BASES[c.place] for c in curves}
+    rig = rig.replace("\\", "/").replace('"', "'")  # it stands in a docstring
     if any("* curve(" in c.source for c in curves):
         names.add("curve")
     lines = [
@@ -277,6 +283,7 @@ def _law(law: FoundLaw) -> list[str]:
         body = "self.amount * curve(s, self.KNOTS, self.COEFFICIENTS)"
     else:
         wide = {"narrow": law.narrow, "sharp": law.narrow / 4}
+        wide |= {"far": FAR, "farther": FAR + 1}
         terms = (
             f"self.a_{i + 1} * ({_jax(code.format(**wide))})"
             for i, code in enumerate(law.formula.form.code)

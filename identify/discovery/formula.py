@@ -76,12 +76,16 @@ FORMS: tuple[Form, ...] = (
     Form("drag", lambda s, _: (np.abs(s) * s,), ("abs(s) * s",), (2,), False),
     Form("modulus", lambda s, _: (np.abs(s),), ("abs(s)",), (1,), False),
     Form(
-        "bell", lambda s, s_0: (np.exp(-((s / s_0) ** 2)),), ("exp(-((s / s_0) ** 2))",)
+        "bell",
+        lambda s, s_0: (np.exp(-((s / s_0) ** 2)),),
+        ("exp(-minimum((s / s_0) ** 2, {far}))",),
+        said=("exp(-((s / s_0) ** 2))",),
     ),
     Form(
         "decay",
         lambda s, s_0: (np.exp(-np.abs(_soft(s, s_0))),),
-        ("exp(-abs(s / s_0))",),
+        ("exp(-minimum(abs(s / s_0), {far}))",),
+        said=("exp(-abs(s / s_0))",),
     ),
     Form("saturation", lambda s, s_0: (np.tanh(_soft(s, s_0)),), ("tanh(s / s_0)",)),
     Form(
@@ -100,7 +104,7 @@ FORMS: tuple[Form, ...] = (
     Form(
         "ramp",
         lambda s, s_0: (np.maximum(s - s_0, 0.0),),
-        ("{sharp} * logaddexp((s - s_0) / {sharp}, 0.0)",),
+        ("{sharp} * logaddexp(maximum((s - s_0) / {sharp}, -{far}), 0.0)",),
         (1,),
         signed=True,
         said=("max(s - s_0, 0)",),
@@ -108,7 +112,7 @@ FORMS: tuple[Form, ...] = (
     Form(
         "ramp down",
         lambda s, s_0: (np.maximum(s_0 - s, 0.0),),
-        ("{sharp} * logaddexp((s_0 - s) / {sharp}, 0.0)",),
+        ("{sharp} * logaddexp(maximum((s_0 - s) / {sharp}, -{far}), 0.0)",),
         (1,),
         signed=True,
         said=("max(s_0 - s, 0)",),
@@ -117,8 +121,8 @@ FORMS: tuple[Form, ...] = (
         "dead zone",
         lambda s, s_0: (np.sign(s) * np.maximum(np.abs(s) - s_0, 0.0),),
         (
-            "{sharp} * (logaddexp((s - s_0) / {sharp}, 0.0)"
-            " - logaddexp((-s - s_0) / {sharp}, 0.0))",
+            "{sharp} * (logaddexp(maximum((s - s_0) / {sharp}, -{far}), 0.0)"
+            " - logaddexp(maximum((-s - s_0) / {sharp}, -{farther}), 0.0))",
         ),
         (1,),
         said=("sign(s) * max(abs(s) - s_0, 0)",),

@@ -58,6 +58,14 @@ def headline(outcome: Outcome) -> str:
             f"{lead}{effects.capitalize()} {was} missing: with {it}, the error of "
             f"{name} falls from {before} to {now}, at a noise of {noise}."
         )
+    for u in outcome.unexplained:
+        if u.beyond_windows:
+            size = quantity_text(u.excess, u.unit, figures=3)
+            may = f"{effects} may stand in for what" if effects else "something"
+            return (
+                f"{lead}{may.capitalize()} is missing: over 1 s and more {u.channel} "
+                f"stays {size} above its noise."
+            )
     if c.window is not None and c.window.skill is not None and c.window.skill <= 0:
         return f"{lead}The model predicts {name} no better than a held value: {after}."
     stays = f"{after}, {times}."

@@ -10,10 +10,12 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from hydrojax.errors import InputError
+from hydrojax.identify.discovery.catalogue import NAMED
 from hydrojax.identify.discovery.effect_file import effect_file
 from hydrojax.identify.report import curves, figures, motion, residuals, traces
 from hydrojax.identify.report.explorer import explorer_data
 from hydrojax.identify.report.headline import grade, headline, loop_verdict
+from hydrojax.identify.results.curve import FoundCurve
 from hydrojax.identify.results.outcome import (
     ChannelErrors,
     Outcome,
@@ -263,9 +265,14 @@ def _parameter_said(outcome: Outcome) -> tuple[str, str]:
 
 
 def report_page(
-    outcome: Outcome, shown: Sequence[Picture], made: Mapping[str, str]
+    outcome: Outcome,
+    shown: Sequence[Picture],
+    made: Mapping[str, str],
+    laws: str = "my_effects.py",
 ) -> str:
-    """report.html, with its pictures inside; `made`: how, as in report.json."""
+    """report.html, with its pictures inside; `made`: how, as in report.json; `laws`:
+    the file of what was found as curves.
+    """
     help_ = (
         quantity_text, change, remarks, times_noise, standing, share, listed, words,
         p_text, p_equation, skill_text, loop_verdict, motion_sentence,
@@ -287,7 +294,25 @@ def report_page(
         headline=headline(outcome),
         grade=grade(outcome),
         made=made,
+        laws=laws,
     )
+
+
+def effects_path(folder: Path, curves: Sequence[FoundCurve]) -> Path:
+    """The file of found effects in a report's folder: the first that stands there with
+    none but these, or that does not stand there. Others a rig file may name.
+    """
+    own, number = {c.name for c in curves}, 1
+    path = folder / "my_effects.py"
+    while path.exists() and not _names_in(path) <= own:
+        number += 1
+        path = folder / f"my_effects_{number}.py"
+    return path
+
+
+def _names_in(path: Path) -> set[str]:
+    """Names of the effects that a file defines, as `effect_file` writes them."""
+    return set(NAMED.findall(path.read_text(encoding="utf-8", errors="replace")))
 
 
 def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None:
@@ -305,10 +330,11 @@ def write_report(outcome: Outcome, folder: Path, command_line: str = "") -> None
         content["rig_toml_sha256"] = digest(outcome.rig_file.encode())
     text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
     files = {f"report_{p.name}.png": p.png for p in shown}
-    files["report.html"] = report_page(outcome, shown, made).encode()
+    laws = effects_path(folder, outcome.curves).name
+    files["report.html"] = report_page(outcome, shown, made, laws).encode()
     files["report.json"] = (text + "\n").encode()
     if outcome.curves:
-        files["my_effects.py"] = effect_file(outcome.rig, outcome.curves).encode()
+        files[laws] = effect_file(outcome.rig, outcome.curves).encode()
     if outcome.rig_file:
         files["rig.toml"] = outcome.rig_file.encode()
     if outcome.motion:

@@ -4,7 +4,7 @@ plant: the value held as a run began, and a linear autoregressive model (ARX).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from hydrojax.identify.estimation.columns import Batch, ParametricRig, filled
+from hydrojax.identify.estimation.known import Free
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.inference.uncertainty import Uncertainty
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.outcome import ChannelErrors, Horizon, skill_text
 from hydrojax.identify.tracing.criteria import Criteria
@@ -109,6 +111,78 @@ def drifting(
     ]
 
 
+def beyond_windows(
+    fitted: Problem,
+    check: Problem,
+    values: Float[np.ndarray, "n"],
+    uncertainty: Uncertainty,
+    horizons: Mapping[str, Horizon],
+    length: float,
+    criteria: Criteria,
+) -> float | None:
+    """By how much the force stays above its noise over longer runs, N, where that says
+    that something is missing though it is at its noise over windows; else None.
+
+    An error that hardly shows in a window adds up in longer runs, where effects only
+    come near what the rig does. So does an error of the parameters, which the logs
+    leave: it is drawn, by their covariance, and allowed for. Pressures are not judged
+    so: of a machine logged at 100 Hz they drift with the right effect too.
+
+    Args:
+        fitted: the problem of the fitted logs, which has the parameters' ranges.
+        check: that of the logs on which errors are counted.
+        values: all parameters of the final model, SI.
+        uncertainty: of those that were fitted.
+        horizons: the force's errors by length of the run, of these logs.
+        length: of a window, s.
+        criteria: the thresholds.
+    """
+    noise = float(np.asarray(check.batch.noise)[2])
+    long = [horizons[n].after for n in ("1", "free") if n in horizons]
+    own = min((np.inf if e is None else e for e in long), default=0.0)
+    if len(long) < 2 or not check.simulate or not own > criteria.drifts * noise:
+        return None
+    if not np.isfinite(own):
+        return None
+    ranges = [fitted.free[n] for n in uncertainty.inside]
+    allowed = (criteria.drifts * noise) ** 2 + _drawn(
+        check, values, uncertainty, ranges, length, criteria.drift_draws
+    )
+    return float(np.sqrt(own**2 - noise**2)) if own**2 > allowed else None
+
+
+def _drawn(
+    check: Problem,
+    values: Float[np.ndarray, "n"],
+    uncertainty: Uncertainty,
+    ranges: Sequence[Free],
+    length: float,
+    draws: int,
+) -> float:
+    """Mean square by which the force's runs of 1 s and of whole logs move, whichever
+    move more, with parameters drawn by their covariance, N^2.
+    """
+    names = list(check.model.names)
+    index = [names.index(n) for n in uncertainty.inside]
+    starts = _starts(check.batch, length)
+    lengths = [list(starts).index(n) for n in ("1", "free")]
+    lower = np.array([r.lower for r in ranges])
+    upper = np.array([r.upper for r in ranges])
+    # Of numbers of one size: of Pa beside m^3/s only the former would be drawn.
+    std = np.sqrt(np.maximum(np.diag(uncertainty.covariance), 1e-300))
+    alike = uncertainty.covariance / np.outer(std, std)
+    away = std * np.random.default_rng(0).multivariate_normal(
+        np.zeros(len(index)), alike, size=draws, check_valid="ignore"
+    )
+    own, squares = _runs(check, values, starts)[lengths, ..., 2], []
+    for move in away:
+        there = values.copy()
+        there[index] = np.clip(values[index] + move, lower, upper)
+        moved = _runs(check, there, starts)[lengths, ..., 2] - own
+        squares.append(np.mean(moved**2, axis=(1, 2)))
+    return float(np.max(np.mean(squares, axis=0))) if squares else 0.0
+
+
 def _rms(error: np.ndarray) -> float | None:
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.sqrt(np.mean(error**2)) if error.size else np.nan
@@ -132,6 +206,8 @@ def _starts(
         count = round(seconds / length)
         if count < 2:
             continue
+        if abs(count * length - seconds) > 0.05 * seconds:
+            continue  # windows do not make up a run of that length
         begins = whole + place // count * count
         used = place // count * count + count <= lasts
         if used.any():

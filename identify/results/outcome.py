@@ -155,7 +155,8 @@ class Unexplained:
 
     `tests` are of every signal, the clearest first; `line` the frequency (Hz) at which
     it stands out, or None; `next` what to record to learn more; `where` the windows
-    that hold over half of it, the largest first, if a few do.
+    that hold over half of it, the largest first, if a few do; `beyond_windows` says
+    that it shows in runs longer than a window only.
     """
 
     channel: str
@@ -167,6 +168,7 @@ class Unexplained:
     line: float | None = None
     next: str = ""
     where: tuple[Stretch, ...] = ()
+    beyond_windows: bool = False
 
 
 @dataclass(frozen=True)

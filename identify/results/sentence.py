@@ -92,34 +92,10 @@ def verdict_sentence(
         return f"The declared model does not explain {channels}: {rest}. Try trace."
     none = f"{'no' if start else 'No'} known effect explains the residual of"
     hint = ""
-    if names and share < criteria.stands_in:
+    hidden = any(u.beyond_windows for u in left)
+    if names and (hidden or share < criteria.stands_in):
         hint = f" {names} may stand in for what is missing."
     return f"{start}{none} {channels}: {rest}.{hint}"
-
-
-def drift_sentence(
-    verdict: str,
-    effects: tuple[FoundEffect, ...],
-    channels: Mapping[str, ChannelErrors],
-    criteria: Criteria = Criteria(),
-) -> str:
-    """What is said of a force that is at its noise over windows, and not over runs of
-    1 s; empty where it is, or where something is above its noise anyway.
-
-    An error that hardly shows in a window adds up in longer runs, where the model only
-    comes near what the rig does. Pressures alone do not say so: of a machine logged at
-    100 Hz they drift with the right effect too.
-    """
-    F = channels.get("F")
-    if verdict == "unknown" or F is None or not F.noise or "1" not in F.horizons:
-        return ""
-    after = F.horizons["1"].after
-    if after is None or after <= criteria.drifts * F.noise:
-        return ""
-    names = " and ".join(e.name for e in effects)
-    may = f"{names} may stand in for it" if names else "it hardly shows in windows"
-    times = f"{after / F.noise:.3g} times its noise"
-    return f" Over 1 s F is at {times}: something may still be missing; {may}."
 
 
 def motion_sentence(motion: PredictedMotion) -> str:

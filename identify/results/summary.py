@@ -13,7 +13,7 @@ from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.inference.uncertainty import Uncertainty, is_whole
 from hydrojax.identify.preparation.noise import CHANNELS
-from hydrojax.identify.results.horizons import horizons_of
+from hydrojax.identify.results.horizons import beyond_windows, horizons_of
 from hydrojax.identify.results.limits import limits_of, said_tolerated
 from hydrojax.identify.results.outcome import (
     Candidate,
@@ -32,7 +32,6 @@ from hydrojax.identify.results.parts import (
     within_tolerance,
 )
 from hydrojax.identify.results.sentence import (
-    drift_sentence,
     verdict_sentence,
     with_ends,
     without_skill,
@@ -42,6 +41,7 @@ from hydrojax.identify.results.unexplained import (
     extrapolation,
     lies_in,
     unexplained,
+    unexplained_beyond,
 )
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
@@ -71,13 +71,15 @@ def summarise(
     channels = _channels(case, state, ends, errors, seen)
     signals = signals_of(case.check, before.shape[1], case.spec.geometry.get("radius"))
     left = _left(case, state, after, errors[1], signals, seen)
+    in_windows = bool(left)
+    left = left or _left_beyond(case, state, uncertainty, channels, ends)
     found = named_effects(case, state, uncertainty, (errors[0], errors[1]))
     tolerated = {e.name: own for e in found if (own := within_tolerance(e, case.spec))}
     effects = tuple(e for e in found if e.name not in tolerated)
     verdict = "unknown" if left else "explained" if effects else "nothing missing"
     needed = (
         extrapolation(state, uncertainty.unidentifiable)
-        if left and case.held_out
+        if in_windows and case.held_out
         else LeftOpen()
     )
     where = _in_few_windows(case, state, after, seen)
@@ -95,7 +97,6 @@ def summarise(
             ),
             _at_ends(state, uncertainty),
         )
-        + drift_sentence(verdict, effects, channels, state.criteria)
         + _slow_noise(case, channels, left, state.criteria),
         parameters=parameters_of(case, state, uncertainty, tuple(tolerated)),
         channels=channels,
@@ -182,6 +183,35 @@ def _left(
     )
 
 
+def _left_beyond(
+    case: Case,
+    state: Tracing,
+    uncertainty: Uncertainty,
+    channels: Mapping[str, ChannelErrors],
+    ends: tuple[np.ndarray, np.ndarray],
+) -> tuple[Unexplained, ...]:
+    """What of the force stays above its noise over runs longer than windows, on the
+    logs that the verdict is of.
+    """
+    if "F" not in channels:
+        return ()
+    horizons, length = channels["F"].horizons, case.preparation.horizon
+    if case.test is not None:  # those are of the test logs, which decide nothing
+        horizons = horizons_of(state.problem, state.check, ends, length)["F"]
+    excess = beyond_windows(
+        state.problem,
+        state.check,
+        ends[1],
+        uncertainty,
+        horizons,
+        length,
+        state.criteria,
+    )
+    if excess is None:
+        return ()
+    return (unexplained_beyond(excess, float(state.noise[2]), length),)
+
+
 def _places(case: Case, ticks: int) -> list[tuple[str, float, float]]:
     """Log, start and end (s) of the compared ticks of each validation window."""
     t = np.asarray(case.check.windows.t)[:, -ticks:]
@@ -204,6 +234,7 @@ def _slow_noise(
     may_be = left and all(
         u.follows == "none"
         and not u.where
+        and not u.beyond_windows
         and u.channel not in case.spec.sensors
         and channels[u.channel].after <= criteria.slow_noise * channels[u.channel].noise
         for u in left

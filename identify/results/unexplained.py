@@ -79,6 +79,25 @@ def unexplained(
     )  # fmt: skip
 
 
+def unexplained_beyond(excess: float, noise: float, length: float) -> Unexplained:
+    """Describe a force that is at its noise over windows only.
+
+    Args:
+        excess: by how much it is above it over longer runs, N.
+        noise: its standard deviation, N.
+        length: of a window, s.
+    """
+    times = np.sqrt(1 + (excess / noise) ** 2)
+    description = (
+        f"F is at its noise over {length:g} s, but stays {_size(excess, 'N')} RMS "
+        f"above it over 1 s and through whole logs ({times:.3g} times its noise)"
+    )
+    to_do = advice("F", "none")
+    return Unexplained(
+        "F", excess, "N", "none", description, next=to_do, beyond_windows=True
+    )
+
+
 def lies_in(
     residual: Float[np.ndarray, "windows ticks"],
     noise: float,

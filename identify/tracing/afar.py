@@ -49,7 +49,9 @@ def from_afar(
     a spool and a dead time the first to be found does nearly all of the other's work,
     and from zero the other has no slope left.
     Nothing is asked where nothing stands above the noise, or where a candidate's score
-    at zero accounts for all of it; and the balances only of pressures that do.
+    at zero accounts for all of it; and the balances only of pressures that do. Where
+    they are at their noise and the force is not, which may show a valve's small faults
+    more clearly, what acts on the pressures is rated by replays.
 
     Returns:
         By effect the gain, in units of its score's, and where it may be fitted from,
@@ -63,6 +65,8 @@ def from_afar(
     if np.any(above & PRESSURES):
         steps = state.criteria.far_steps
         searches.insert(0, in_balances(state, effects, bases(state), steps))
+    elif state.problem.sees_pressures:
+        searches.append(_hydraulics(state, effects, noise))
     if state.problem.sees_force and state.problem.sees_pressures:
         # Last, so that it counts where the balances rate the same effects.
         searches.append(_commands(state, effects, noise))
@@ -92,6 +96,20 @@ def _replays(
     if problem.sees_pressures:
         few = few.behind(state.point.values)
     return _by_replays(state, few, grids, bases(state))
+
+
+def _hydraulics(
+    state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
+) -> Search | None:
+    """Effects on the pressures whose strengths have a grid."""
+    grids = {
+        name: starts
+        for name, e in effects.items()
+        if (starts := nonlocal_starts(e)) and state.problem.side(free_names(e), True)
+    }
+    if not grids:
+        return None
+    return _by_replays(state, _thinned(state, noise), grids, bases(state)[:1])
 
 
 def _commands(

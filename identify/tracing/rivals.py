@@ -12,7 +12,7 @@ from jaxtyping import Float
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.in_balances import near_in_balances
-from hydrojax.identify.tracing.judge import judge, may_rise, negligible, worse
+from hydrojax.identify.tracing.judge import chance, judge, may_rise, negligible, worse
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
@@ -116,8 +116,10 @@ def _exchanged(
             continue
         state.progress(f"{rival} takes the place of {name}")
         rms = state.check.rms
+        # Against the effect that it displaces, as one of all that were candidates.
+        p = min(len(rivals) * chance(own, after, noise), 1.0)
         added = tuple(
-            replace(a, name=rival, after=rms(after), cannot_tell_from=())
+            replace(a, name=rival, p_value=p, after=rms(after), cannot_tell_from=())
             if a.name == name
             else a
             for a in state.added

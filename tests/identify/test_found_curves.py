@@ -474,6 +474,54 @@ def test_the_command_traces_again_with_what_it_found(
     assert report["verdict"] == "explained"
 
 
+@pytest.mark.parametrize(
+    ("term", "form", "shape", "span"),
+    [
+        ("free_level_x", "ramp", 0.47, (0.45, 0.5)),
+        ("free_level_x", "ramp down", 5e-4, (0.0, 1e-3)),
+        ("free_level_x", "dead zone", 0.2, (0.19, 0.24)),
+        ("free_level_P_mean", "ramp", 12e6, (11.5e6, 12.8e6)),
+        ("free_friction_v", "bell", 1.2e-4, (0.0, 5e-3)),
+        ("free_friction_v", "decay", 5e-6, (0.0, 1e-4)),
+        ("free_level_P_net", "bell", 5e4, (-1e6, 1e6)),
+        ("free_compliance_P", "bell", 1e5, (0.0, 1e6)),
+    ],
+)
+def test_a_law_that_acts_far_from_where_effects_are_tried_is_taken(
+    term, form, shape, span, tmp_path, vocabulary
+):
+    formula = Formula(FORM[form], (2.0,), (0.1,), shape, 0.0, 0.0)
+    made = FoundLaw(TERM[term], np.zeros(12), np.zeros(8), span, formula)
+    effect = written(tmp_path, found(made))
+    s = np.linspace(*span, 200)
+    got = np.asarray(effect(a_1=1.0).along(s))
+    want = FORM[form].of(s, shape)[0]
+    np.testing.assert_allclose(got, want, atol=0.02 * np.ptp(want))
+
+
+def test_found_effects_that_a_rig_file_may_name_are_not_replaced(tmp_path):
+    first = outcome(found(law("free_level_v", bell())))
+    write_report(first, tmp_path)
+    before = (tmp_path / "my_effects.py").read_text()
+    write_report(first, tmp_path)  # the same again
+    assert not (tmp_path / "my_effects_2.py").exists()
+    second = outcome(found(law("free_force_x")))
+    for _ in range(2):
+        write_report(second, tmp_path)
+    assert (tmp_path / "my_effects.py").read_text() == before
+    assert "free_force_x" in (tmp_path / "my_effects_2.py").read_text()
+    assert not (tmp_path / "my_effects_3.py").exists()
+    page = (tmp_path / "report.html").read_text()
+    assert "--effects my_effects_2.py" in page
+
+
+@pytest.mark.parametrize("name", [r"C:\Users\rig", 'my "rig"""', r"a\N{x}"])
+def test_a_rig_of_any_name_has_its_file(name, tmp_path, vocabulary):
+    path = tmp_path / "my_effects.py"
+    path.write_text(effect_file(name, [found(law("free_level_v", bell()))]))
+    assert "free_level_v" in load_effects(path)
+
+
 def test_a_folder_of_found_effects_is_taken(tmp_path, vocabulary):
     for term in ("free_level_v", "free_force_x"):
         text = effect_file("a rig", [found(law(term), "none")])

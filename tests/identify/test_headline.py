@@ -18,8 +18,8 @@ from hydrojax.identify.results.outcome import (
     Parameter,
 )
 from hydrojax.identify.results.parts import within_tolerance
-from hydrojax.identify.results.sentence import drift_sentence, verdict_sentence
-from hydrojax.identify.results.unexplained import LeftOpen
+from hydrojax.identify.results.sentence import verdict_sentence
+from hydrojax.identify.results.unexplained import LeftOpen, unexplained_beyond
 from tests.identify.test_report import OUTCOMES, explained
 
 
@@ -53,30 +53,22 @@ def test_a_sentence_counts_its_effects():
     assert "added" not in said("unknown", ())
 
 
-@pytest.mark.parametrize(
-    ("verdict", "times", "said"),
-    [
-        ("explained", 1.75, "internal_leakage and position_friction may stand in"),
-        ("explained", 1.13, ""),
-        ("explained", None, ""),
-        ("nothing missing", 1.75, "it hardly shows in windows"),
-        ("unknown", 1.75, ""),
-    ],
-)
-def test_an_error_that_adds_up_over_a_second_is_said(verdict, times, said):
-    found = explained()
-    F = found.channels["F"]
-    after = None if times is None else times * F.noise
-    runs = {
-        "0.25": Horizon(31.0, 2.6, 300.0, None),
-        "1": Horizon(90.0, after, 1e3, None),
-    }
-    effects = found.effects if verdict == "explained" else ()
-    sentence = drift_sentence(verdict, effects, {"F": replace(F, horizons=runs)})
-    assert said in sentence and bool(said) == bool(sentence)
-    if said:
-        assert sentence.startswith(" Over 1 s F is at 1.75 times its noise: ")
-    assert drift_sentence(verdict, effects, {"P_a1": replace(F, horizons=runs)}) == ""
+def test_a_force_that_is_off_over_longer_runs_only_is_said_so():
+    unknown = replace(
+        OUTCOMES["unknown"](), unexplained=(unexplained_beyond(3.75, 2.5, 0.25),)
+    )
+    end = "over 1 s and more F stays 3.75 N above its noise."
+    assert headline(unknown) == f"Something is missing: {end}"
+    found = replace(unknown, effects=explained().effects[:1])
+    assert headline(found) == (
+        f"Internal leakage may stand in for what is missing: {end}"
+    )
+    sentence = verdict_sentence(
+        "trace", "unknown", found.effects, unknown.unexplained, True, LeftOpen()
+    )
+    assert "F is at its noise over 0.25 s, but stays 3.75 N RMS above it" in sentence
+    assert "(1.8 times its noise)" in sentence
+    assert sentence.endswith("internal_leakage may stand in for what is missing.")
 
 
 @pytest.mark.parametrize(("share", "hint"), [(0.6, True), (0.98, False)])
