@@ -20,20 +20,20 @@ from hydrojax.tune.axes import make_axes
 from hydrojax.tune.comparison import compare_models, notes
 from hydrojax.tune.ensemble import SPREAD, Plants, ensemble, with_unsaid
 from hydrojax.tune.findings import Findings
-from hydrojax.tune.free import default_free, find_gain
+from hydrojax.tune.free import check_starts, default_free, find_gain
 from hydrojax.tune.limiting import what_limits
 from hydrojax.tune.objective import Objective
 from hydrojax.tune.optimize import edges, optimize_gains
 from hydrojax.tune.plan import METHODS, Plan, with_excitations
 from hydrojax.tune.proposal import propose, tolerance_of, try_before
 from hydrojax.tune.result import Tuned
-from hydrojax.tune.setup import make_plants, open_rig, rig_file
+from hydrojax.tune.setup import DELAY, make_plants, open_rig, rig_file, with_room
 from hydrojax.tune.verification import cap
 
 PLANTS = 8
 """Plants of a tuning's ensemble by default."""
 
-VALVE = ("valve_lag.tau", "valve_delay.tau_u")
+VALVE = ("valve_lag.tau", DELAY)
 """Quantities of effects that every tuned rig has, if only at zero."""
 
 STARTS = 2
@@ -67,7 +67,8 @@ def sweep(
         at: values of other quantities, such as `{"v": 0.01, "amplitude": "200 N"}`.
         plants: size of an ensemble of plants, the rig among them; 1 is the rig alone.
         spread: relative half-width of the ensemble.
-        findings: folder of `identify` or `trace`; the ensemble is drawn from it.
+        findings: folder of `identify` or `trace`: its plant is used in place of the
+            file's, and its uncertainty in place of `spread`.
         frozen: whether the adaptation is frozen while the loop is measured.
         out: a folder that keeps what is done, so that a sweep that was stopped goes on
             where it was; None keeps nothing.
@@ -111,14 +112,16 @@ def plan_sweep(
             known = ", ".join(METHODS)
             raise InputError(f"invalid method {method!r}: expected one of {known}")
     file = rig_file(rig)
-    setting, known = open_rig(file, gains, at, axes)
-    found = Findings.load(findings) if findings and plants > 1 else None
+    found = Findings.load(findings) if findings else None
+    setting, known = open_rig(file, gains, at, axes, found)
+    over = make_axes(axes, known)
+    those = make_plants(setting, plants, spread, found)
     plan = Plan(
-        setting,
-        make_axes(axes, known),
+        with_room(setting, those, over),
+        over,
         known,
         tuple(m for m in METHODS if m in methods),
-        make_plants(setting, plants, spread, found),
+        those,
         frozen,
         file.name,
         file.command_unit,
@@ -222,12 +225,14 @@ def plan_tuning(
     setting, known = open_rig(file, None, at, (*free, *VALVE), found)
     names = tuple(free) or default_free(setting)
     chosen = [find_gain(known, name) for name in names]
+    check_starts(setting, chosen)
     drawn_from = found if found and found.fitted else None
     those = make_plants(setting, plants, spread, drawn_from) or ensemble(setting, 1)
     given = {*file.effects, *file.parameters, *_named(at or {})}
     given |= {*found.effects, *found.absent, *found.parameters} if found else set()
     fitted = found.shown if found else ()
     those = with_unsaid(setting, those, given, fitted=fitted)
+    setting = with_room(setting, those)
     progress("compile the loop")
     objective = Objective(setting, chosen, those, limits or Limits(), aim)
     return ToTune(file, objective, those, found, given)

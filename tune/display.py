@@ -13,6 +13,7 @@ from hydrojax.report.text import in_picture
 from hydrojax.tune.optimize import TIGHT
 from hydrojax.tune.tuning import Tuning
 from hydrojax.tune.verification import Tried
+from hydrojax.units import with_command
 
 PLAYS = ("valve_hysteresis", "backlash")
 """Effects that hold back a small signal whole, so that a loop is open at rest."""
@@ -36,16 +37,17 @@ ROWS = (
     ("Delay margin", "delay_margin", "ms", 1e3, min),
     ("Sensitivity while moving", "sensitivity_moving", "dB", 1.0, max),
     ("Force due to sensor noise, RMS", "noise_F", "N", 1.0, max),
-    ("Command due to sensor noise, RMS", "noise_u", "V", 1.0, max),
+    ("Command due to sensor noise, RMS", "noise_u", "{u}", 1.0, max),
 )
-"""What the linearised loop shows."""
+"""What the linearised loop shows; {u} is the unit of the command."""
 
 
 def show(value: Any, unit: str) -> str:
-    """A number with its unit; a dash for none."""
+    """A number with its unit, which "1" is without; a dash for none."""
     if value is None or not np.isfinite(value):
         return "–"
     digits = ".5g" if not unit else ".3g"
+    unit = "" if unit == "1" else unit
     return f"{value:{digits}} {unit}".replace("-", "−").rstrip()
 
 
@@ -83,7 +85,7 @@ def metrics_table(t: Tuning) -> list[tuple[str, ...]]:
             cells += [show(values[0], unit), show(worst(values), unit)]
         out.append((title, *cells))
     for title, name, unit, factor, worst in ROWS:
-        cells = []
+        unit, cells = with_command(unit, t.file.command_unit), []
         for *_, found in states(t):
             values = np.asarray(found[name]) * factor
             cells.append(show(values[0], unit))
@@ -336,5 +338,5 @@ def html(t: Tuning) -> str:
             for head, *rows in (gains_table(t), metrics_table(t))
         ),
         markup.paragraph(limit(t)),
-        markup.table(("without", "within 1 dB, worst plant", ""), limits),
+        markup.table(("without", "Band, worst plant", ""), limits),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from hydrojax.control.adaptive import Law
 from hydrojax.control.base import RATES
@@ -44,3 +44,18 @@ def find_gain(known: Mapping[str, Quantity], name: str) -> Quantity:
         gains = ", ".join(q.name for q in known.values() if q.gain)
         raise InputError(f"invalid gain {name!r}: expected one of {gains}")
     return quantity
+
+
+def check_starts(setting: Setting, free: Iterable[Quantity]) -> None:
+    """Refuse gains that would not be searched where they are: below 0.
+
+    Raises:
+        InputError: one starts below 0.
+    """
+    for quantity in free:
+        start = float(quantity.get(setting))
+        if start < 0:
+            raise InputError(
+                f"gain {quantity.name}: starts at {start:g} {quantity.unit}, and only "
+                "gains above 0 are searched; leave it out of what is tuned (--free)"
+            )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+import equinox as eqx
+
 from hydrojax.errors import COUNT, InputError
+from hydrojax.rigfile.build import with_queues
 from hydrojax.rigfile.quantities import (
     Quantity,
     Setting,
@@ -14,8 +17,11 @@ from hydrojax.rigfile.quantities import (
     quantities,
 )
 from hydrojax.rigfile.schema import RigFile
+from hydrojax.tune.axes import Axis
 from hydrojax.tune.ensemble import Plants, ensemble, from_findings
 from hydrojax.tune.findings import Findings
+
+DELAY = "valve_delay.tau_u"
 
 
 def rig_file(rig: RigFile | str | Path) -> RigFile:
@@ -72,3 +78,26 @@ def make_plants(
     if findings is not None:
         return from_findings(setting, findings, count)
     return ensemble(setting, count, spread)
+
+
+def with_room(
+    setting: Setting, plants: Plants | None, axes: Sequence[Axis] = ()
+) -> Setting:
+    """The setting with a valve delay that can become as long as it will be.
+
+    A delay remembers a fixed number of commands, which the rig file's own `tau_u` and
+    rate have set; what is put in their place later may need more.
+
+    Args:
+        setting: with its effects and its operating point put in.
+        plants: the ensemble, if there is one.
+        axes: of a sweep.
+    """
+    swept = {axis.name: axis.values for axis in axes}
+    h = min([float(setting.loop.h), *(1 / rate for rate in swept.get("rate", ()))])
+    longest = [0.0, *swept.get(DELAY, ())]
+    if plants is not None and DELAY in plants.names:
+        longest.extend(plants.values[:, plants.names.index(DELAY)])
+    # A tuning's loops have to be stable with part of a sample more.
+    rig = with_queues(setting.loop.rig, h, float(max(longest)) + h)
+    return eqx.tree_at(lambda s: s.loop.rig, setting, rig)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.rigfile import edit
+from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune.aims import Aim, Limits
 from hydrojax.tune.limiting import Relaxed
@@ -83,7 +84,8 @@ class Tuning:
             written = edit.text(value, self.units[name])
             key, _, end = name.removesuffix("_hat").rpartition("_")
             if end in ("lower", "upper"):
-                both = keys.get(key, self.file.controller.get(key, written))
+                both = keys.get(key, self.file.controller.get(key))
+                both = self._defaults(key) if both is None else both
                 both = list(both) if isinstance(both, list) else [both, both]
                 both[end == "upper"] = written
                 keys[key] = both
@@ -91,6 +93,13 @@ class Tuning:
                 keys[name.removesuffix("_hat")] = written
         text = edit.rewrite(self.file, {}, controller=keys)
         return self.file.with_text(text)
+
+    def _defaults(self, key: str) -> list[str]:
+        """Both bounds of an estimate of which the file says nothing, as it has them."""
+        setting = open_setting(self.file)
+        known = quantities(self.file, setting)
+        ends = (known[f"{key}_{end}"] for end in ("lower", "upper"))
+        return [edit.text(float(q.get(setting)), q.unit) for q in ends]
 
     def to_frame(self) -> pd.DataFrame:
         """The gains: a row each, with columns `before`, `after` and `unit`."""

@@ -16,8 +16,7 @@ from hydrojax.programs.compiled import program
 from hydrojax.tune import linearize, metrics, trials
 from hydrojax.tune.aims import TOLERANCE
 from hydrojax.tune.objective import Objective
-
-DELAY = "valve_delay.tau_u"
+from hydrojax.tune.setup import DELAY
 
 DELAY_MARGIN = 0.25
 """Samples of delay beyond each plant's own with which its loop has to be stable."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -25,6 +25,9 @@ from hydrojax.cli.options import (
 )
 from hydrojax.errors import InputError
 from hydrojax.jax_setup import set_up_fits
+
+if TYPE_CHECKING:
+    from hydrojax.workflows.fleet.work import Options
 
 Jobs = Annotated[
     Path,
@@ -86,9 +89,8 @@ def batch(
     from hydrojax.workflows.fleet.local import JobLimits
     from hydrojax.workflows.fleet.merged import named
     from hydrojax.workflows.fleet.run import Stopped, run_fleet
-    from hydrojax.workflows.fleet.work import Options
 
-    options = Options(
+    options = _options(
         command=command, horizon=horizon, starts=starts, matters=matters, level=level,
         profile=profile, effects=tuple(map(str, effects or ())),
     )  # fmt: skip
@@ -96,7 +98,7 @@ def batch(
         with counted(command) as progress:
             ran = run_fleet(
                 jobs, out, options, workers, cluster, progress,
-                limits=JobLimits(job_seconds, int(job_memory * 2**30)),
+                limits=JobLimits(job_seconds, job_memory * 2**30),
                 command_line=command_line(context),
             )  # fmt: skip
     except Stopped as stop:
@@ -112,3 +114,23 @@ def batch(
     console.print(f"fleet.html and fleet.parquet in {out}")
     if ran.failed:
         raise typer.Exit(1)
+
+
+def _options(**given: Any) -> Options:
+    """How every job is done.
+
+    Raises:
+        InputError: a number that is not finite.
+    """
+    from pydantic import ValidationError
+
+    from hydrojax.workflows.fleet.work import Options
+
+    try:
+        return Options(**given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        says = first["msg"].removeprefix("Input should be ")
+        raise InputError(
+            f"invalid --{first['loc'][0]} {first['input']!r}: expected {says}"
+        ) from error

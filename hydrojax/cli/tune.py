@@ -58,7 +58,9 @@ Spread = Annotated[
 From = Annotated[
     Path | None,
     typer.Option(
-        "--from", help="Folder written by identify or trace, to draw the ensemble from."
+        "--from",
+        help="Folder written by identify or trace: its plant, and the spread of the "
+        "ensemble.",
     ),
 ]
 Frozen = Annotated[
@@ -217,7 +219,7 @@ def tune(
     with show_progress() as progress:
         for kind in kinds:
             found[kind] = api.tune_gains(
-                _rig_of(source, rig) if folder else source,
+                _rig_of(source, rig),
                 free or (),
                 limits,
                 at=read_point(at or ()),
@@ -289,13 +291,20 @@ def _print(tuned: Tuned) -> None:
         console.print(f"- {line}")
 
 
-def _rig_of(folder: Path, rig: Path | None) -> Path:
-    """The rig file of a folder of identify or trace."""
+def _rig_of(source: Path, rig: Path | None) -> Path:
+    """The rig file: the source itself, or that of a folder of identify or trace."""
+    if not os.path.isdir(source):
+        if rig is None:
+            return source
+        raise InputError(
+            f"--rig: only beside a folder of identify or trace; {source} is a rig file "
+            "itself: name one of the two"
+        )
     if rig is not None:
         return rig
-    settle(folder)
-    if (folder / "rig.toml").exists():
-        return folder / "rig.toml"
+    settle(source)
+    if (source / "rig.toml").exists():
+        return source / "rig.toml"
     raise InputError(
-        f"{folder}: no rig.toml in it; name the rig file that was traced with --rig"
+        f"{source}: no rig.toml in it; name the rig file that was traced with --rig"
     )

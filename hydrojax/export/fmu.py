@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from hydrojax import __version__
+from hydrojax.effects.valve import ValveDelay
 from hydrojax.export.codegen.compiler import shared_library
 from hydrojax.export.codegen.emit import literal
 from hydrojax.export.codegen.machine import Code, code_of, identifiers
@@ -124,6 +125,8 @@ def fmu_of(spec: RigFile) -> dict[str, bytes]:
     token = uuid.uuid5(uuid.NAMESPACE_OID, "".join(sources.values()))
     names = list(machine.parameters)
     called = dict(zip(identifiers(names), names, strict=True))
+    delays = [c for c in model.rig.command if isinstance(c, ValveDelay)]
+    fields = {n: field for field, n in called.items()}
     known = {
         "name": identifier(spec.name),
         "rig": spec.name,
@@ -131,6 +134,8 @@ def fmu_of(spec: RigFile) -> dict[str, bytes]:
         "token": f"{{{token}}}",
         "period": literal(model.period),
         "counts_ticks": model.counts_ticks,
+        "delay": fields["valve_delay.tau_u"] if delays else "",
+        "held_ticks": delays[0].queue - 1 if delays else 0,
         "variables": _variables(model, code, along, called),
         "tangent_parameters": [f.name for f in along.parameters],
         "primal": [f.name for f in code.inputs],

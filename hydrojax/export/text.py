@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -36,8 +37,8 @@ def toml_of(spec: RigFile) -> str:
     document["layout"] = spec.layout.name
     pressures = dict.fromkeys(spec.supply, "Pa")
     sections = (
-        ("geometry", _quantities(spec.geometry, GEOMETRY)),
-        ("supply", _quantities(spec.supply, pressures)),
+        ("geometry", _quantities(spec.geometry, GEOMETRY, spec.tolerances)),
+        ("supply", _quantities(spec.supply, pressures, spec.tolerances)),
         ("sensors", _quantities(spec.sensors, signal_units(spec))),
         ("load", _load(spec)),
         ("valve", _table(spec)),
@@ -90,13 +91,24 @@ def _struct(tree: Tree) -> Tree:
     return out
 
 
-def _quantity(value: float, unit: str) -> str:
-    """A quantity as a rig file has it, with all the digits that the float has."""
-    return f"{value!r}" if unit == "1" else f"{value!r} {unit}"
+def _quantity(value: float, unit: str, tolerance: float = 0.0) -> str:
+    """A quantity as a rig file has it, with all the digits that the float has.
+
+    Its tolerance, in the same unit, follows it; 0 is none.
+    """
+    own = f"{value!r}" if unit == "1" else f"{value!r} {unit}"
+    return f"{own} +- {_quantity(tolerance, unit)}" if tolerance else own
 
 
-def _quantities(values: Mapping[str, float], wants: Mapping[str, str]) -> Tree:
-    return {name: _quantity(value, wants[name]) for name, value in values.items()}
+def _quantities(
+    values: Mapping[str, float],
+    wants: Mapping[str, str],
+    tolerances: Mapping[str, float] = MappingProxyType({}),
+) -> Tree:
+    return {
+        name: _quantity(value, wants[name], tolerances.get(name, 0.0))
+        for name, value in values.items()
+    }
 
 
 def _load(spec: RigFile) -> Tree:
@@ -121,7 +133,7 @@ def _table(spec: RigFile) -> Tree:
 def _entries(entries: Mapping[str, Entry]) -> Tree:
     out: Tree = {}
     for name, entry in entries.items():
-        start = _quantity(entry.start, entry.unit)
+        start = _quantity(entry.start, entry.unit, entry.tolerance)
         if entry.range is None:
             out[name] = start
             continue

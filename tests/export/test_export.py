@@ -168,6 +168,23 @@ def test_toml_reads_back_as_the_same_rig(text, tmp_path):
     assert all(np.array_equal(a, b) for a, b in zip(*laws, strict=True))
 
 
+def test_toml_keeps_tolerances(tmp_path):
+    text = RICH + '[supply]\nP_s = "14 MPa +- 1 %"\n'
+    for plain, tolerance in (
+        ('area_1 = "50 cm^2', "2 %"), ('z_ss = "60 um', "2 um"),
+        ('k_st = "400 N', "5 %"), ('tau_F = "2 ms', "0.1 ms"),
+    ):  # fmt: skip
+        assert plain in text
+        text = text.replace(plain, f"{plain} +- {tolerance}")
+    spec = spec_of(text, tmp_path)
+    assert set(spec.tolerances) == {"area_1", "P_s"}
+    assert spec.effects["loadcell_lag"]["tau_F"].tolerance == pytest.approx(1e-4)
+    (tmp_path / "out.toml").write_bytes(one(spec, "toml"))
+    again = RigFile.load(tmp_path / "out.toml")
+    for part in ("tolerances", "geometry", "supply", "parameters", "effects"):
+        assert getattr(again, part) == getattr(spec, part), part
+
+
 def test_toml_has_the_quantities_of_the_file_in_si(tmp_path):
     """By pint alone, on the texts of both files."""
     registry = pint.UnitRegistry()
@@ -590,6 +607,37 @@ def test_steps_of_any_length_but_of_one_where_there_is_a_delay(fmpy, driven):
     else:
         slave.doStep(h, 0.4 * h)
     slave.freeInstance()
+    shutil.rmtree(folder)
+
+
+def test_a_delay_that_an_fmu_cannot_hold_is_refused(fmpy, driven):
+    """It holds 15 ticks: finer ones, or a longer delay, would be cut short."""
+    spec, path, *_ = driven
+    if "valve_delay" not in spec.effects:
+        pytest.skip("the rig has no delay")
+    description = fmpy.read_model_description(str(path))
+    folder = fmpy.extract(str(path))
+    for tau_u, h, held in (
+        (3e-3, 1e-3, True), (3e-3, 2e-4, True), (3e-3, 1e-4, False),
+        (15e-3, 1e-3, True), (16e-3, 1e-3, False),
+    ):  # fmt: skip
+        said = []
+        slave = fmpy.instantiate_fmu(
+            folder, description, "CoSimulation", debug_logging=True,
+            logger=lambda *words, said=said: said.append(words[-1].decode()),
+        )  # fmt: skip
+        slave.setupExperiment(startTime=0.0)
+        slave.enterInitializationMode()
+        by = {v.name: v.valueReference for v in description.modelVariables}
+        slave.setReal([by["valve_delay.tau_u"]], [tau_u])
+        slave.exitInitializationMode()
+        if held:
+            slave.doStep(0.0, h)
+        else:
+            with pytest.raises(Exception, match="fmi2DoStep"):
+                slave.doStep(0.0, h)
+            assert any("is more than the 15 ticks" in line for line in said)
+        slave.freeInstance()
     shutil.rmtree(folder)
 
 

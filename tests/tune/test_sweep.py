@@ -10,6 +10,7 @@ from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pint
 import pytest
@@ -18,10 +19,22 @@ import xarray as xr
 from hydrojax import cli
 from hydrojax.cli.words import read_axes
 from hydrojax.effects import EFFECTS, load_effects
+from hydrojax.effects.valve import ValveDelay
 from hydrojax.errors import InputError
 from hydrojax.paper.records import reference
+from hydrojax.parameters import get
 from hydrojax.rigfile.quantities import open_setting, quantities
-from hydrojax.tune import maps, measure, metrics, plan, plots, report, selection, sweep
+from hydrojax.tune import (
+    api,
+    maps,
+    measure,
+    metrics,
+    plan,
+    plots,
+    report,
+    selection,
+    sweep,
+)
 from hydrojax.tune.axes import make_axes
 from hydrojax.tune.ensemble import ensemble, from_findings
 from hydrojax.tune.findings import Findings
@@ -449,6 +462,63 @@ def test_friction_makes_bandwidth_depend_on_amplitude(setting, known):
         float(data.multisine_saturation[0]) == 0 < float(data.multisine_saturation[1])
     )
     assert abs(float(off[0]) - 1) > 0 and float(off[1]) < 0.9
+
+
+# -- what is put in over the rig file --
+
+
+def late(setting):
+    """Ticks until a step of the command is out of the setting's delay."""
+    (delay,) = (c for c in setting.loop.rig.command if isinstance(c, ValveDelay))
+    memory, h = delay.init(jnp.zeros(())), setting.loop.h
+    for tick in range(200):
+        memory, out = delay.step(memory, jnp.ones(()), h)
+        if float(out) > 1 - 1e-6:
+            return tick
+    raise AssertionError("it never comes out")
+
+
+def test_a_swept_delay_is_as_long_as_it_says():
+    """The rig file's own has room for 15 ticks of 1 ms."""
+    asked = api.plan_sweep(SPEC, {"valve_delay.tau_u": ["0 ms", "15 ms", "40 ms"]})
+    assert [late(asked.at(row)) for row in asked.table()] == [0, 15, 40]
+    at = api.plan_sweep(SPEC, {"k_p": [1, 2]}, at={"valve_delay.tau_u": "40 ms"})
+    assert late(at.at(at.table()[0])) == 40
+    fast = api.plan_sweep(
+        SPEC, {"rate": [1000, 4000]}, at={"valve_delay.tau_u": "7 ms"}
+    )
+    assert [late(fast.at(row)) for row in fast.table()] == [7, 28]
+
+
+def test_a_tuned_delay_is_as_long_as_it_says(monkeypatch):
+    monkeypatch.setattr(api, "Objective", lambda setting, *_: setting)
+    at = {"valve_delay.tau_u": "40 ms"}
+    assert late(api.plan_tuning(SPEC, at=at, plants=1).objective) == 40
+
+
+def test_a_swept_plant_is_that_of_the_findings(tmp_path):
+    """Of one plant or more, with the effects that were added; none is an error."""
+    tau_u = {"value": 0.03, "std": 1e-3, "unit": "s"}
+    leak = {"value": 2e-12, "std": 1e-14, "unit": "m^3/(s*Pa)"}
+    report = {
+        "format": "hydrojax-report/1",
+        "parameters": {"beta": {"value": 8.3e8, "std": 8e6, "unit": "Pa"}},
+        "effects": [
+            {"name": "internal_leakage", "parameters": {"c_il": leak}},
+            {"name": "valve_delay", "parameters": {"tau_u": tau_u}},
+        ],
+    }
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    for plants in (1, 3):
+        asked = api.plan_sweep(SPEC, {"k_p": [1, 2]}, plants=plants, findings=tmp_path)
+        first = asked.at(asked.table()[0])
+        found = get(first.loop.rig, ("beta", "internal_leakage.c_il"))
+        np.testing.assert_allclose(found, [8.3e8, 2e-12])
+        assert late(first) == 30
+    last = asked.at(asked.table()[-1])
+    assert float(get(last.loop.rig, ("internal_leakage.c_il",))[0]) != 2e-12
+    with pytest.raises(InputError, match="no report"):
+        api.plan_sweep(SPEC, {"k_p": [1, 2]}, findings=tmp_path / "none")
 
 
 # -- the command and its pictures --

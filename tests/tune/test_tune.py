@@ -28,6 +28,7 @@ from hydrojax.rigfile.quantities import open_setting, quantities
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import (
     api,
+    display,
     limiting,
     linearize,
     measure,
@@ -558,6 +559,36 @@ def test_a_rig_file_keeps_its_comments(tmp_path):
     assert float(law.k_p) == pytest.approx(2.5e-3 * 1.18e-4)
 
 
+@pytest.mark.parametrize("end", ["lower", "upper"])
+def test_of_a_default_the_bound_that_was_not_tuned_stays(end):
+    file = SPEC.with_text(SPEC.text.replace("A_a = [", "# A_a = ["))
+    ends = {"lower": 7.0, "upper": 14.0}
+    key = f"A_a_{end}"
+    new = {"gains": {key: ends[end]}, "units": {key: "V*s"}, "start": {key: 1.0}}
+    rig = replace(tuned(), file=file, **new).rig
+    was, now = (open_setting(f) for f in (file, rig))
+    for name in ("A_a_lower", "A_a_upper"):
+        q = quantities(rig, now)[name]
+        expected = ends[end] if name == key else float(q.get(was))
+        assert float(q.get(now)) == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_unit_of_the_command_is_the_rig_file_s():
+    one = tuned()
+    (row,) = (r for r in display.metrics_table(one) if r[0].startswith("Command"))
+    assert {cell.rpartition(" ")[2] for cell in row[1:]} == {"V", "–"}
+    share = replace(one, file=replace(one.file, command_unit="1"))
+    (row,) = (r for r in display.metrics_table(share) if r[0].startswith("Command"))
+    assert not any("V" in cell or " " in cell for cell in row[1:])
+
+
+def test_a_notebook_and_the_report_head_the_limits_alike(tmp_path):
+    one = tuned()
+    one.save(tmp_path)
+    for page in (display.html(one), (tmp_path / "report.html").read_text()):
+        assert "Band, worst plant" in page
+
+
 def test_a_tuning_in_a_notebook(tmp_path):
     """A row a gain, the gist in one line, all of it as text, and a folder."""
     one = tuned()
@@ -653,6 +684,10 @@ def test_bad_input_is_said(tmp_path, call):
         api.tune_gains(SPEC, free=("k_pp",))
     with pytest.raises(InputError, match="invalid gain 'beta'"):
         api.tune_gains(SPEC, free=("beta",))
+    with pytest.raises(InputError, match="k_0_lower: starts at -0.5 kN, and only"):
+        api.tune_gains(SPEC, free=("k_0_lower",))
+    said = call("tune", SPEC.path, "--rig", SPEC.path, "--out", tmp_path / "out")
+    assert said.code == 2 and "--rig: only beside a folder" in said.err
 
 
 def test_metrics_of_the_rig_and_the_worst():

@@ -28,6 +28,7 @@ from hydrojax.effects.friction import ViscousFriction
 from hydrojax.errors import InputError
 from hydrojax.identify import api as identifying
 from hydrojax.identify.case import open_case
+from hydrojax.report.page import made_by
 from hydrojax.rigfile.fingerprint import code_fingerprint
 from hydrojax.rigfile.schema import RigFile
 from hydrojax.tune import api, sweep
@@ -35,9 +36,10 @@ from hydrojax.workflows.fleet import friction, merged, summary, sweeps
 from hydrojax.workflows.fleet import run as running
 from hydrojax.workflows.fleet.jobs import read_jobs
 from hydrojax.workflows.fleet.local import JobLimits
-from hydrojax.workflows.fleet.report import controller_lines
+from hydrojax.workflows.fleet.report import Named, controller_lines, job_pages
 from hydrojax.workflows.fleet.run import Ran, Stopped, run_fleet
-from hydrojax.workflows.fleet.work import Options
+from hydrojax.workflows.fleet.store import Store
+from hydrojax.workflows.fleet.work import Options, keys_of
 
 ROOT = Path(__file__).parents[2]
 PRETEND = "tests.fleet_solvers:pretend"
@@ -138,6 +140,28 @@ def test_bad_options_are_refused(call, tmp_path, option, value, words):
     said = call("batch", table, "--out", tmp_path / "out", option, value)
     assert said.code == 2 and value in said.err and words in said.err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["--matters", "--horizon"])
+def test_numbers_without_end_are_refused(call, tmp_path, option):
+    table = fleet(tmp_path, good(1))
+    said = call("batch", table, "--out", tmp_path / "out", option, "inf")
+    assert said.code == 2 and len(said.err.strip().splitlines()) == 1
+    assert f"invalid {option} inf: expected a finite number" in said.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_job_may_take_any_memory(call, tmp_path, monkeypatch):
+    seen = {}
+
+    def ran(*_, limits, **__):
+        seen["limits"] = limits
+        raise Stopped(0, 1)
+
+    monkeypatch.setattr(running, "run_fleet", ran)
+    table = fleet(tmp_path, good(1))
+    said = call("batch", table, "--out", tmp_path / "out", "--job-memory", "inf")
+    assert said.code == 130 and seen["limits"] == JobLimits(memory=float("inf"))
 
 
 def test_a_label_that_is_there_twice_is_refused(tmp_path):
@@ -328,6 +352,22 @@ def test_a_job_s_key_holds_the_code_of_the_effects(tmp_path, monkeypatch):
     assert pretended(table, out).done == 0
     monkeypatch.setattr(ViscousFriction, "force", lambda self, at: 2 * self.b * at.v)
     assert pretended(table, out).done == 2
+
+
+def test_a_folder_of_effects_is_the_files_in_it(tmp_path, monkeypatch):
+    """Where one was edited, jobs are done anew."""
+    (own := tmp_path / "own").mkdir()
+    for name in ("b.py", "a.py", "notes.txt"):
+        (own / name).write_text("# before")
+    monkeypatch.chdir(tmp_path)
+    options = Options(effects=("own", "one.py"))
+    files = (own / "a.py", own / "b.py", tmp_path / "one.py")
+    assert options.effects == tuple(map(str, files))
+    jobs = read_jobs(fleet(tmp_path, good(2)), "trace")
+    before = keys_of(jobs, options)
+    assert keys_of(jobs, options) == before
+    (own / "b.py").write_text("# after")
+    assert not set(keys_of(jobs, options)) & set(before)
 
 
 # -- kills --
@@ -525,7 +565,18 @@ def test_outliers_drifts_and_failures_are_named(tmp_path):
     said = single.read_text()
     assert f"<code>{line}</code>" in said
     assert "&lt;b&gt;no" in said and "<b>no" not in said
-    assert "hydrojax trace rig.toml log_4.csv --validate" in said
+    assert "hydrojax trace rig.toml log_4.csv --validate check.csv --out" in said
+    own = str(tmp_path / "own.py")
+    how = {"horizon": 0.5, "starts": 3, "matters": 0.05, "level": 0.02,
+           "profile": True, "effects": (own,)}  # fmt: skip
+    named, store = [Named("row 5", "no", single.stem)], Store(out)
+    for command, more in (("trace", "--matters 0.05 --level 0.02 "), ("identify", "")):
+        options = Options.model_validate({"command": command, **how})
+        (text,) = job_pages(store, named, "t", options, made_by("")).values()
+        assert (
+            f"hydrojax {command} rig.toml log_4.csv --validate check.csv --horizon 0.5 "
+            f"--starts 3 {more}--profile --effects {own} --out report" in text
+        )
     pictures = {p.name for p in out.glob("*.png")}
     labels = {f"fleet_label_{i}.png" for i in (1, 2, 3)}
     assert pictures == {"fleet_effects.png", "fleet_friction.png", *labels}

@@ -38,11 +38,12 @@ class JobLimits:
 
     Attributes:
         seconds: from when a worker has it.
-        memory: bytes that the worker holds, where the system says how many.
+        memory: bytes that the worker holds, where the system says how many; inf is no
+            limit.
     """
 
     seconds: float = 3600.0
-    memory: int = 8 * 2**30
+    memory: float = 8 * 2**30
 
 
 Progress = Callable[[Done], None]

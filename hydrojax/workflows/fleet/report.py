@@ -25,6 +25,10 @@ from hydrojax.workflows.fleet.merged import Fleet
 from hydrojax.workflows.fleet.pictures import CROWD, ROW_NUMBER
 from hydrojax.workflows.fleet.store import Store
 from hydrojax.workflows.fleet.summary import FAR
+from hydrojax.workflows.fleet.work import Options
+
+USUAL = Options()
+"""How jobs are done where nothing else is said."""
 
 LISTED = 100
 """Lines of a list on the page; the table has all."""
@@ -100,7 +104,7 @@ def job_pages(
     store: Store,
     named: Sequence[Named],
     title: str,
-    command: str,
+    options: Options,
     made: Mapping[str, str],
 ) -> dict[str, str]:
     """A page for each job that needs a look, by the name of its file.
@@ -110,13 +114,14 @@ def job_pages(
     table = Fleet(store.folder / "fleet.parquet").columns(
         "job", "rig", "fit", "validate"
     )
-    rows = table.set_index("job")
+    rows, more = table.set_index("job"), _as_given(options)
     out = {}
     for job, why, key in named:
         own = rows.loc[job].fillna("")
         fit, checks = (str(own[n]).split(";") if own[n] else [] for n in OWN_LOGS)
-        call = [command, str(own["rig"]), *fit]
+        call = [options.command, str(own["rig"]), *fit]
         call += ["--validate", *checks] if checks else []
+        call += more
         line = shlex.join(["hydrojax", *call, "--out", "report"])
         out[f"{key}.html"] = page(
             Path(__file__).parent / "job.html",
@@ -125,6 +130,18 @@ def job_pages(
             validate=checks, made=made, record=NOTHING | (store.load(key) or {}),
         )  # fmt: skip
     return out
+
+
+def _as_given(options: Options) -> list[str]:
+    """The words with which one job is done as the fleet was."""
+    names = ["horizon", "starts"]
+    names += ["matters", "level"] if options.command == "trace" else []
+    out: list[str] = []
+    for name in names:
+        if (value := getattr(options, name)) != getattr(USUAL, name):
+            out += [f"--{name}", f"{value!r}"]
+    out += ["--profile"] if options.profile else []
+    return out + (["--effects", *options.effects] if options.effects else [])
 
 
 OWN_LOGS = ("fit", "validate")
@@ -231,7 +248,7 @@ def write_fleet_report(
     store: Store,
     keys: Sequence[str],
     title: str,
-    command: str = "trace",
+    options: Options = USUAL,
     command_line: str = "",
 ) -> Contents:
     """Write fleet.html and its pictures beside the table.
@@ -240,13 +257,13 @@ def write_fleet_report(
         store: where the table and the results are.
         keys: of the jobs, in order.
         title: what the fleet is called.
-        command: identify or trace, as every job was done.
+        options: how every job was done.
         command_line: by which the results came about.
     """
     seen = look(store, keys)
     shown = draw_fleet(store, seen)
     made = made_by(command_line)
-    single = job_pages(store, [*seen.failures, *seen.unknown], title, command, made)
+    single = job_pages(store, [*seen.failures, *seen.unknown], title, options, made)
     folder = store.folder / REPORTS
     old = [p.name for p in folder.glob("*.html")]
     if single or old:

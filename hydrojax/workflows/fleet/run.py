@@ -91,7 +91,7 @@ def run_fleet(
     keys = keys_of(jobs, options)
     mark = _mark(jobs, keys)
     store.clear()
-    drawn = partial(_draw, store, keys, jobs, options.command, command_line)
+    drawn = partial(_draw, store, keys, jobs, options, command_line)
     draw = drawn if report else None
     done, unread = 0, []
     for _ in range(2):  # again where results could not be read
@@ -138,12 +138,12 @@ def _merge(
 
 
 def _draw(
-    store: Store, keys: list[str], jobs: Jobs, command: str, command_line: str
+    store: Store, keys: list[str], jobs: Jobs, options: Options, command_line: str
 ) -> None:
     # It takes its time to import, so it is only where it is wanted.
     from hydrojax.workflows.fleet.report import write_fleet_report
 
-    write_fleet_report(store, keys, jobs.source.name, command, command_line)
+    write_fleet_report(store, keys, jobs.source.name, options, command_line)
 
 
 def _tasks(
@@ -151,14 +151,11 @@ def _tasks(
 ) -> Iterator[Task]:
     """The tasks that are left; what two rows ask for is done once."""
     given: set[str] = set()
-    whole = options.model_copy(
-        update={"effects": tuple(str(Path(p).absolute()) for p in options.effects)}
-    )
     for job, key in zip(jobs, keys, strict=True):
         if key in left and key not in given:
             given.add(key)
             yield Task(
-                key=key, job=located(job, jobs.folder), options=whole,
+                key=key, job=located(job, jobs.folder), options=options,
                 out=str(out.absolute()), solver=solver,
             )  # fmt: skip
 

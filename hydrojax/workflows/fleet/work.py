@@ -13,7 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hydrojax.effects import EFFECTS, offered
 from hydrojax.effects.registry import file_of
@@ -31,9 +31,13 @@ Solver = Callable[[Job, "Options"], dict[str, Any]]
 
 
 class Options(BaseModel):
-    """How every job is done; as `identify` and `trace` have it."""
+    """How every job is done; as `identify` and `trace` have it.
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    Numbers are finite: what is not, JSON cannot bring to a worker. Of `effects` folders
+    become the files in them, and paths whole ones.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     command: Command = "trace"
     horizon: float = Field(default=0.25, ge=0.01)
@@ -42,6 +46,15 @@ class Options(BaseModel):
     level: float = Field(default=0.01, gt=0, le=0.5)
     profile: bool = False
     effects: tuple[str, ...] = ()
+
+    @field_validator("effects")
+    @classmethod
+    def _files(cls, given: tuple[str, ...]) -> tuple[str, ...]:
+        """Every file by its whole path: a result depends on what stands in each."""
+        out: list[Path] = []
+        for path in (Path(p).absolute() for p in given):
+            out += sorted(path.glob("*.py")) if path.is_dir() else [path]
+        return tuple(map(str, out))
 
 
 class Task(BaseModel):
