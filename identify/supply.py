@@ -36,17 +36,17 @@ def with_supply_of_gains(
         progress: is called with a line of text.
     """
     names = {a.name for a in state.added}
-    gains = [state.named.get(f"pressure_sensor_gain.eps_{i}") for i in (1, 2)]
-    wanted = {"pressure_sensor_gain"}
+    wanted: dict[str, tuple[str, ...]] = {"pressure_sensor_gain": ("eps_1", "eps_2")}
     if np.isfinite(state.noise[2]):
-        wanted.add("loadcell_gain")
-        gains.append(state.named.get("loadcell_gain.eps"))
+        wanted["loadcell_gain"] = ("eps",)
     known = any(f.input == "P_s" for f in found)
-    if known or case.fit.driven_by != "u" or not wanted <= names or None in gains:
+    if known or case.fit.driven_by != "u" or not set(wanted) <= names:
         return found
+    gains = np.array(
+        [state.named[f"{effect}.{n}"] for effect, own in wanted.items() for n in own]
+    )
     mean = float(np.mean(gains))
-    spread = float(np.ptp(gains))
-    if abs(mean) < SUPPLY or spread > ALIKE * abs(mean):
+    if abs(mean) < SUPPLY or np.ptp(gains) > ALIKE * abs(mean):
         return found
     progress("see whether P_s is off by a factor")
     logged = all("P_s" in log.signals for log in case.read_logs)
