@@ -162,15 +162,19 @@ def _drawn(
     """Mean square by which the force's runs of 1 s and of whole logs move, whichever
     move more, with parameters drawn by their covariance, N^2.
     """
-    names = list(check.model.names)
+    names, cov = list(check.model.names), uncertainty.covariance
     index = [names.index(n) for n in uncertainty.inside]
+    if not index:
+        return 0.0
+    if not np.all(np.isfinite(cov)):
+        return np.inf  # nothing says how far they may be off
     starts = _starts(check.batch, length)
     lengths = [list(starts).index(n) for n in ("1", "free")]
     lower = np.array([r.lower for r in ranges])
     upper = np.array([r.upper for r in ranges])
     # Of numbers of one size: of Pa beside m^3/s only the former would be drawn.
-    std = np.sqrt(np.maximum(np.diag(uncertainty.covariance), 1e-300))
-    alike = uncertainty.covariance / np.outer(std, std)
+    std = np.sqrt(np.maximum(np.diag(cov), 1e-300))
+    alike = cov / np.outer(std, std)
     away = std * np.random.default_rng(0).multivariate_normal(
         np.zeros(len(index)), alike, size=draws, check_valid="ignore"
     )

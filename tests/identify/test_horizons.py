@@ -145,6 +145,10 @@ def test_a_force_off_over_longer_runs_is_left_unless_the_parameters_may_be(outco
     assert left(2.0, 1.6) == pytest.approx(np.sqrt(1.6**2 - 1) * F.noise)
     for runs in ((1.2, 2.0), (2.0, 1.2), (2.0, 0), (0, 0), (None, None)):
         assert left(*runs) is None
+    none = SimpleNamespace(inside=(), covariance=np.zeros((0, 0)))
+    assert left(2.0, 2.0, (*own[:3], none)) == pytest.approx(np.sqrt(3) * F.noise)
+    unknown = SimpleNamespace(inside=("beta",), covariance=np.array([[np.nan]]))
+    assert left(2.0, 2.0, (*own[:3], unknown)) is None
     loose = (*own[:3], small_uncertainty(0.3))
     assert left(1.4, 1.4, loose) is None and left(1.4, 1.4) is not None
 
