@@ -39,7 +39,7 @@ from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.sentence import motion_sentence
 from hydrojax.identify.results.summary import summarise, with_inputs
-from hydrojax.identify.supply import as_good, with_supply_of_gains
+from hydrojax.identify.supply import simpler_and_no_worse, with_supply_of_gains
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.rivals import pruned, shed
 from hydrojax.identify.tracing.state import Tracing
@@ -202,7 +202,7 @@ def trace_case(
         later = with_supply_of_gains(case, found, state, progress)
         if later is not found:
             other = traced(*mended_case(given, later))
-            if as_good(state, other[3]):
+            if simpler_and_no_worse(state, other[3]):
                 case, found, point, state = other
     outcome = _outcome("trace", case, state, point, progress, profile)
 

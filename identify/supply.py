@@ -54,7 +54,7 @@ def with_supply_of_gains(
     return (*found, one)
 
 
-def as_good(own: Tracing, other: Tracing) -> bool:
+def simpler_and_no_worse(own: Tracing, other: Tracing) -> bool:
     """Whether another trace's end leaves no channel of the validation logs further off
     than one's own, or all of them at their noise; with fewer effects.
     """

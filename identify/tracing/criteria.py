@@ -287,9 +287,9 @@ class Criteria:
     (`benchmarks.trace --more unnamed`)."""
     drifts: float = 1.3
     """RMS error of the force over its noise, in runs of 1 s and through whole logs, up
-    to which one that is at its noise over windows is explained, 1. It was 1.13 at most
-    with the effect that was missing, and 1.75 and 2.1 with others in its place
-    (`benchmarks.trace --more unnamed=42`)."""
+    to which one that is at its noise over windows is explained, 1. It was 1.20 at most
+    where the answer is right, and 1.75 and 2.1 with other effects in the place of a
+    leak (results.jsonl of `benchmarks.trace --cases 20` and `--more unnamed=16`)."""
     drift_draws: int = 4
     """Times that parameters are drawn to see how far runs move by what the logs leave
     open of them, count."""

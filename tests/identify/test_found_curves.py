@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
 
@@ -21,6 +22,7 @@ from hydrojax.effects import EFFECTS, load_effects
 from hydrojax.effects.splines import knots_over
 from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
+from hydrojax.identify.discovery import discover
 from hydrojax.identify.discovery.effect_file import (
     FoundLaw,
     effect_file,
@@ -497,6 +499,25 @@ def test_a_law_that_acts_far_from_where_effects_are_tried_is_taken(
     got = np.asarray(effect(a_1=1.0).along(s))
     want = FORM[form].of(s, shape)[0]
     np.testing.assert_allclose(got, want, atol=0.02 * np.ptp(want))
+
+
+@pytest.mark.parametrize("simulate", [True, False])
+def test_curves_of_flow_need_a_command(simulate, monkeypatch):
+    """Where the pressures are given no flow moves them, and its columns are zero."""
+    problem = SimpleNamespace(model=SimpleNamespace(rig=None), simulate=simulate)
+    start = SimpleNamespace(state=SimpleNamespace(problem=problem, named={}))
+    rng = np.random.default_rng(0)
+    samples = {name: rng.normal(size=500) for name in ("v", "x", "t")}
+    laid = []
+    monkeypatch.setattr(discover, "begun", lambda *_: start)
+    monkeypatch.setattr(discover, "samples_of", lambda *_: samples)
+    monkeypatch.setattr(discover, "search", lambda _, every: laid.extend(every))
+    monkeypatch.setattr(discover, "found_curves", lambda *_: ())
+    case = SimpleNamespace(fit=None, check=None, spec=SimpleNamespace(effects={}))
+    discover.searched(case, outcome())
+    places = {one.term.place for one in laid}
+    assert {"friction", "level"} <= places
+    assert ("flow" in places) == simulate
 
 
 def test_found_effects_that_a_rig_file_may_name_are_not_replaced(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 
 import hydrojax as hj
 from hydrojax.identify.checking.words import late_position
-from hydrojax.identify.supply import as_good, with_supply_of_gains
+from hydrojax.identify.supply import simpler_and_no_worse, with_supply_of_gains
 from tests.pages import ROOT
 
 DEMO = ROOT / "hydrojax" / "demo"
@@ -87,6 +87,6 @@ def test_a_simpler_end_is_as_good_where_no_channel_is_worse():
         )
 
     own = end(2, 1.0, 1.5, 0.0)
-    assert as_good(own, end(0, 1.01, 1.5, 9.0))
-    assert not as_good(own, end(0, 1.0, 1.6, 0.0))
-    assert not as_good(own, end(2, 1.0, 1.4, 0.0))
+    assert simpler_and_no_worse(own, end(0, 1.01, 1.5, 9.0))
+    assert not simpler_and_no_worse(own, end(0, 1.0, 1.6, 0.0))
+    assert not simpler_and_no_worse(own, end(2, 1.0, 1.4, 0.0))
