@@ -6,9 +6,10 @@ stand at a substep's ends, speeds and rates at its middle, which makes the schem
 second order. The piston and the load move as one, except where a rod gives or a pin has
 play: then the piston has a mass of its own.
 
-Conventions where a law leaves room: pressures are gauge; Stribeck, damping and viscous
-parts stand inside the sliding friction and fade with it in presliding; presliding sees
-the piston's force, before gravity and inertia of what lies ahead of the load cell;
+Conventions where a law leaves room: pressures are gauge; Stribeck and damping stand
+inside the sliding friction and fade with it in presliding, of `viscous_friction` all
+but the share s; presliding sees the piston's force, before gravity and inertia of what
+lies ahead of the load cell;
 P_s is logged ahead of the supply line; the film of `frictional_lag` follows the speed,
 whatever its sign, friction keeps the bristle's sign, and both its viscous part and
 Stribeck's follow the film.
@@ -206,7 +207,8 @@ class Plant:
         f_c = self.sliding(t, self.x_p, self.v_p, self.P)
         ell = 1 / (1 + (L_SLOPE * self.slow) ** 3)
         ell = (1 - e("friction_at_rest", "s")) * ell
-        net = (self.toward * self.P).sum(0) - (1 - ell) * f_c
+        viscous = e("viscous_friction", "s") * e("viscous_friction", "b") * self.v_p
+        net = (self.toward * self.P).sum(0) - (1 - ell) * f_c - ell * viscous
         push = np.where(net > 0, r["k_fp"], r["k_fn"]) * ell
         size = np.abs(net)
         half = 1 + push - r["delta"] * size

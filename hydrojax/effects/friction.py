@@ -157,16 +157,34 @@ class MaxwellSlip(HysteresisForce):
 
 
 class ViscousFriction(FrictionForce):
-    """Viscous friction `b v` (F1)."""
+    """Viscous friction (F1): `b v` in sliding, `s b v` in presliding.
+
+    With `s = 1` it stands beside all the paper's friction; with `s = 0` it fades with
+    the sliding friction, and is the same as a `k_vp` and `k_vn` of `-b`. Where these
+    are free, the logs tell `s b` only, and `s` is had from its prior.
+    """
 
     name = "viscous_friction"
     residual_axis = "v"
     b: Float[Array, ""] = param(
         "N*s/m", 0.0, -1e6, 1e6, "viscous", strength=True, size=300.0
     )
+    s: Float[Array, ""] = param(
+        "1",
+        1.0,
+        0.0,
+        1.0,
+        "share of it in presliding",
+        prior=0.5,
+        grid=(1.0, 0.0),
+        whole=True,
+    )
 
     def force(self, at):
         return self.b * at.v
+
+    def at_rest(self, at):
+        return self.s * self.b * at.v
 
 
 class FilmFriction(FrictionForce):

@@ -294,7 +294,9 @@ class LevelEffect(Effect):
 
 
 class FrictionForce(Effect):
-    """Adds a friction force inside f_c: `force(at) -> N`."""
+    """Adds a friction force inside f_c: `force(at) -> N`; and in presliding, where f_c
+    has faded: `at_rest(at) -> N`, of which the share L(t) acts.
+    """
 
     place = "friction"
     needs = ("F",)
@@ -304,6 +306,10 @@ class FrictionForce(Effect):
     def force(self, at: Sliding) -> Float[Array, "*batch"]:
         """Friction force beside the paper's f_c, N."""
         raise NotImplementedError
+
+    def at_rest(self, at: Sliding) -> Float[Array, "*batch"] | float:
+        """Friction force beside the paper's f_s, N; none unless it says otherwise."""
+        return 0.0
 
 
 class SwitchEffect(Effect):

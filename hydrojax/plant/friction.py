@@ -169,13 +169,14 @@ class Friction(eqx.Module):
         P: Float[Array, "*batch"],
         f_c: Float[Array, "*batch"],
         L: Float[Array, "*batch"],
+        rest: Float[Array, "*batch"] | float = 0.0,
     ) -> Float[Array, "*batch"]:
         """F of (22) with (5)-(7): the admissible root of a quadratic, N.
 
-        `F + L k_f F / (1 + delta |F|) = P - (1 - L) f_c`, and F has the sign of the
-        right-hand side.
+        `F + L k_f F / (1 + delta |F|) = P - (1 - L) f_c - L rest`, and F has the sign
+        of the right-hand side; `rest` (N) is what acts in presliding beside f_s.
         """
-        drive = P - (1 - L) * f_c
+        drive = P - (1 - L) * f_c - L * rest
         size = jnp.abs(drive)
         k = L * jnp.where(drive > 0, self.k_fp, self.k_fn)
         b = 1 + k - self.delta * size

@@ -104,8 +104,17 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
 with the areas, what stands beside a chamber with its length, friction with speed."""
 
 
-def aliases(effect: str, spec: RigFile) -> tuple[str, ...]:
-    """The constants that a rig file holds, and an effect is exactly the same as."""
+def aliases(
+    effect: str, found: Mapping[str, Parameter], spec: RigFile
+) -> tuple[str, ...]:
+    """The constants that a rig file holds, and an effect is exactly the same as with
+    the parameters found.
+    """
+    share = found.get("s") if effect == "viscous_friction" else None
+    if share is not None:  # in presliding k_vp and k_vn do nothing
+        low = share.value - 0.5 if share.interval is None else share.interval[0]
+        if low > 0:
+            return ()
     held = {n for n, e in spec.parameters.items() if e.range is None}
     held |= set(spec.geometry)
     return tuple(n for n in ALIASES.get(effect, ()) if n in held)
@@ -117,7 +126,8 @@ def within_tolerance(effect: FoundEffect, spec: RigFile) -> tuple[str, ...]:
     """
     if effect.name != "loadcell_gain":
         return ()
-    areas, size = aliases(effect.name, spec), abs(effect.parameters["eps"].value)
+    areas = aliases(effect.name, effect.parameters, spec)
+    size = abs(effect.parameters["eps"].value)
     within = all(
         size <= 2 * spec.tolerances.get(n, 0.0) / spec.geometry[n] for n in areas
     )
@@ -145,18 +155,19 @@ def named_effects(
     excess = [sum(excess_of(e[c], state.noise[c]) for c in seen) for e in ends]
     for i, added in enumerate(state.added):
         own = [n for n in spec if n.startswith(f"{added.name}.")]
+        parameters = dict(
+            parameter_of(n, case, state, uncertainty, spec[n]) for n in own
+        )
         out.append(
             FoundEffect(
                 name=added.name,
-                parameters=dict(
-                    parameter_of(n, case, state, uncertainty, spec[n]) for n in own
-                ),
+                parameters=parameters,
                 p_value=added.p_value,
                 before={CHANNELS[c]: float(ends[i][c]) for c in seen},
                 after={CHANNELS[c]: float(ends[i + 1][c]) for c in seen},
                 cannot_tell_from=(
                     *added.cannot_tell_from,
-                    *aliases(added.name, case.spec),
+                    *aliases(added.name, parameters, case.spec),
                 ),
                 residual_axis=EFFECTS[added.name].residual_axis,
                 share=(excess[i] - excess[i + 1]) / max(excess[0], 1e-12),

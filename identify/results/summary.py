@@ -46,7 +46,7 @@ from hydrojax.identify.results.unexplained import (
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.screen import size_that_matters
-from hydrojax.identify.tracing.state import Tracing, strengths
+from hydrojax.identify.tracing.state import Tracing, free_names, strengths
 from hydrojax.parameters import parameter_specs
 from hydrojax.rigfile.schema import SUPPLY
 
@@ -338,16 +338,13 @@ def _candidates(
 
 def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
     """Free parameters that stand at an end of their range; not what is absent there,
-    nor whole.
+    nor a share of which there can be no more.
     """
-    own = {n for a in state.added for n in strengths(state.effects[a.name])}
-    specs = parameter_specs(state.problem.model.rig)
-    meant = {n for n in own if state.named[n] == 0.0}
-    meant |= {
-        n
-        for n in own
-        if is_whole(state.problem.free[n], specs[n]) and state.named[n] == 1.0
-    }
+    specs, free = parameter_specs(state.problem.model.rig), state.problem.free
+    added = [state.effects[a.name] for a in state.added]
+    meant = {n for e in added for n in strengths(e) if state.named[n] == 0.0}
+    shares = {n for e in added for n in free_names(e) if is_whole(free[n], specs[n])}
+    meant |= {n for n in shares if state.named[n] in (0.0, 1.0)}
     return tuple(n for n in state.free if n in uncertainty.ends and n not in meant)
 
 

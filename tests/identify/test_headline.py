@@ -17,7 +17,7 @@ from hydrojax.identify.results.outcome import (
     LoopCheck,
     Parameter,
 )
-from hydrojax.identify.results.parts import within_tolerance
+from hydrojax.identify.results.parts import aliases, within_tolerance
 from hydrojax.identify.results.sentence import verdict_sentence
 from hydrojax.identify.results.unexplained import LeftOpen, unexplained_beyond
 from tests.identify.test_report import OUTCOMES, explained
@@ -176,3 +176,19 @@ def test_a_gain_lies_within_the_areas_tolerances_or_not(eps, second, within):
     gain = Parameter(eps, "1", "gain error", 0.0, True)
     effect = FoundEffect("loadcell_gain", {"eps": gain}, 1e-9, {}, {}, (), "F", 1.0)
     assert within_tolerance(effect, rig) == within
+
+
+@pytest.mark.parametrize(
+    ("s", "same"),
+    [((0.02, (0.0, 0.1)), True), ((1.0, None), False), ((0.4, (0.2, 0.6)), False)],
+    ids=["fades", "does not fade", "fades in part"],
+)
+def test_viscous_friction_is_another_name_for_k_v_only_where_it_fades(s, same):
+    rig = hj.RigFile.from_text(
+        'name = "a joint"\nlayout = "pull-pull"\n[geometry]\narea = "1e-3 m^2"\n'
+        'chamber_length = "0.2 m"\nradius = "0.08 m"\n[supply]\nP_s = "14 MPa"\n'
+        '[parameters]\nk_vp = "0 N*s/m"\nk_vn = "0 N*s/m"\n'
+    )
+    share = Parameter(s[0], "1", "share of it in presliding", 1.0, True, None, s[1])
+    found = aliases("viscous_friction", {"s": share}, rig)
+    assert found == (("k_vp", "k_vn") if same else ())

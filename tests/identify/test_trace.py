@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from benchmarks.trace import cases
+from benchmarks.trace.catalogue import NAMED
 from hydrojax.cli.identify import print_outcome
 from hydrojax.identify.api import trace_case
 from hydrojax.identify.case import open_case
@@ -148,6 +150,23 @@ def test_an_effect_is_named_that_lies_far_from_where_it_is_absent(traced, name):
     for parameter, value in wanted.items():
         found = outcome.effects[0].parameters[parameter]
         assert found.value == pytest.approx(value, rel=0.15), parameter
+
+
+@pytest.mark.slow
+def test_viscous_friction_in_presliding_is_seen_beside_free_k_v(tmp_path, monkeypatch):
+    """What fades with the sliding friction is k_vp and k_vn, and they are free."""
+    drag = replace(NAMED["viscous_friction"], known={}, at_1={"b": 2000.0, "s": 1.0})
+    monkeypatch.setitem(cases.ALL, "viscous_friction", drag)
+    spec = cases.CaseSpec("drag", "effect", {"viscous_friction": 1.0})
+    assert cases.write_cases([spec], tmp_path) == {}
+    logs = [tmp_path / f"drag/{name}.csv" for name in ("fit_1", "fit_2", "validate")]
+    outcome = trace_case(open_case(tmp_path / "drag/rig.toml", logs[:2], logs[2:]))
+    assert outcome.verdict == "explained"
+    (effect,) = outcome.effects
+    b, s = (effect.parameters[n] for n in ("b", "s"))
+    assert effect.name == "viscous_friction" and effect.cannot_tell_from == ()
+    assert b.value * s.value == pytest.approx(2000.0, rel=0.05)
+    assert "end of its range" not in outcome.sentence
 
 
 @pytest.mark.slow

@@ -230,6 +230,14 @@ def test_output_force_is_the_root(friction, L):
         assert np.allclose(got, want, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.parametrize("L", [0.0, 0.3, 1.0])
+def test_what_acts_at_rest_is_lost_on_the_way_to_the_output(friction, L):
+    """As a drive that is weaker by it: beside f_s, of which the share L(t) acts."""
+    for P in (-900.0, 5.0, 400.0):
+        got = float(friction.output_force(P, 850.0, L, 120.0))
+        assert got == pytest.approx(paper_output(P - L * 120.0, 850.0, L), rel=1e-9)
+
+
 def test_output_force_where_drive_and_friction_cancel(friction):
     """F near zero with both far from it."""
     for gap in (0.0, 1e-6, -1e-6, 1e-2, -1e-2):
