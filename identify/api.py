@@ -41,7 +41,7 @@ from hydrojax.identify.results.sentence import motion_sentence
 from hydrojax.identify.results.summary import summarise, with_inputs
 from hydrojax.identify.supply import simpler_and_no_worse, with_supply_of_gains
 from hydrojax.identify.tracing.loop import search_effects
-from hydrojax.identify.tracing.rivals import pruned, shed
+from hydrojax.identify.tracing.rivals import beyond_position, pruned, shed
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.jax_setup import cores
 from hydrojax.parameters import specs
@@ -279,6 +279,17 @@ class _Ready:
 
 
 def _searched(case: Case, state: Tracing) -> Tracing:
+    """The search gone on with the noise by the model that it found, without effects
+    that do nothing but answer the position's noise otherwise.
+    """
+    state = _with_search_gone_on(case, state)
+    if case.noise_by is None or not state.added:
+        return state
+    less = beyond_position(state, case.noise_by)
+    return state if less is state else _with_noise_found(case, less)
+
+
+def _with_search_gone_on(case: Case, state: Tracing) -> Tracing:
     """The search gone on with the noise by the model that it found, if any channel
     stands above that; where it is more than before, without effects needless by it.
     """

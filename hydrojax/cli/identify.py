@@ -192,6 +192,7 @@ def _discovered(
     from hydrojax import api
     from hydrojax.identify.report.write import effects_path
 
+    result.save(out, command_line(context))  # curves take minutes, and may be stopped
     result = api.discover(result, progress=progress)
     if not result.curves:
         return result

@@ -257,9 +257,11 @@ class FrictionAtRest(SwitchEffect):
 class FrictionalLag(SpeedEffect):
     """Friction that follows the speed with a lag (F4), as an oil film's thickness.
 
-    All of f_c that depends on speed (k_v, Stribeck, viscous) sees the film, whose speed
-    follows `abs(v)` with `tau_h`; the bristle does not. The film depends on motion
-    alone, long before a window begins, so it is run once over a whole log.
+    The Coulomb level and what raises it (Stribeck) see the film, whose speed follows
+    `abs(v)` with `tau_h`; the bristle does not. Friction that goes with the velocity
+    (k_v, viscous) sees the share `k` of the lag. As the motion turns it turns with the
+    bristle, and the share `s` of it with the velocity, all at once. The film depends on
+    motion alone, long before a window begins, so it is run once over a whole log.
     """
 
     name = "frictional_lag"
@@ -275,6 +277,17 @@ class FrictionalLag(SpeedEffect):
         minimum=1e-3,
         grid=(0.03, 0.15),
     )
+    k: Float[Array, ""] = param(
+        "1", 1.0, 0.0, 1.0, "share of it in friction that goes with v",
+        prior=0.5, grid=(1.0, 1.0, 0.0), whole=True,
+    )  # fmt: skip
+    s: Float[Array, ""] = param(
+        "1", 0.0, 0.0, 1.0, "share of k that turns with v",
+        prior=0.5, grid=(0.0, 1.0, 0.0), whole=True,
+    )  # fmt: skip
+
+    def turns(self):
+        return self.k * (1 - self.s), self.k * self.s
 
     def follow(
         self,

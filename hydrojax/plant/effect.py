@@ -277,6 +277,12 @@ class SpeedEffect(Effect):
         """
         raise NotImplementedError
 
+    def turns(self) -> tuple[Float[Array, ""] | float, Float[Array, ""] | float]:
+        """Of its lag, what friction that goes with the velocity itself sees: the share
+        that turns with the bristle, and the one that turns with the velocity.
+        """
+        return 1.0, 0.0
+
 
 class LevelEffect(Effect):
     """Adds to the Coulomb level: `level(at, base) -> N`."""

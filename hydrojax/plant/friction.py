@@ -24,7 +24,8 @@ class Sliding(NamedTuple):
     `way` the time (s) and the way (m) since friction turned, and `ages` the ages (s) of
     the contact for the ways in `plant.turned.AGES`, where an effect asks for them.
     `F` is the output force (N) without what adds to it, which `Rig.output_force` fills
-    in for effects at the load cell.
+    in for effects at the load cell. Of the film's lag, friction that goes with the
+    velocity itself has `lag_z` along the bristle's deflection, and `lag_v` along v.
     """
 
     t: Float[Array, "*batch"]
@@ -44,6 +45,8 @@ class Sliding(NamedTuple):
     way: Float[Array, "*batch"] | float = 0.0
     ages: tuple[Float[Array, "*batch"] | float, ...] = ()
     F: Float[Array, "*batch"] | float = 0.0
+    lag_z: Float[Array, "*batch"] | float = 0.0
+    lag_v: Float[Array, "*batch"] | float = 0.0
 
 
 class Theta(NamedTuple):
@@ -125,8 +128,8 @@ class Friction(eqx.Module):
         """f_c of (3) with phi = -1, N.
 
         `levels` are effects that add to the Coulomb level, `adds` effects that add
-        a friction force. Where an oil film comes late, levels see its speed, and
-        forces a velocity whose lag has the bristle's sign: it turns with the friction.
+        a friction force. Where an oil film comes late, levels see its speed, and what
+        goes with the velocity one that is late by `at.lag_z` and `at.lag_v`.
         """
         up = at.z > 0
         # In sliding z is z_ss to the last place: a clip just there would cut the
@@ -135,7 +138,8 @@ class Friction(eqx.Module):
         film = at._replace(v=at.v + jnp.where(at.v < 0, -1.0, 1.0) * at.lag)
         level = jnp.where(up, self.k_cp, self.k_cn)
         level = level + sum(e.level(film, level) for e in levels)
-        film = at._replace(v=at.v + turn * at.lag)
+        late = turn * at.lag_z + jnp.sign(at.v) * at.lag_v
+        film = at._replace(v=at.v + late)
         fall = jnp.where(film.v > 0, self.k_vp, self.k_vn) * film.v
         return turn * level + self.k_0 - fall + sum(e.force(film) for e in adds)
 

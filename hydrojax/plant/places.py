@@ -69,7 +69,7 @@ class Place:
 _AT = Point._make((5e6, 6.5e6, 14e6, 0.25e6, (0.4, 0.1), 0.02, 0.01, (), 0.3))
 _SLIDING = Sliding._make((
     7.0, 0.02, 0.004, 0.6, 5e-5, -2e-3, 3e-3, 5e6, 6.5e6, 14e6, 0.0, 5.75e6, (),
-    0.3, 1e-3, (2e-2, 0.1, 0.6), 400.0,
+    0.3, 1e-3, (2e-2, 0.1, 0.6), 400.0, 0.0, 0.0,
 ))  # fmt: skip
 
 PLACES: Mapping[str, Place] = MappingProxyType(

@@ -474,11 +474,10 @@ def forces(
     """
     z, speed, v, slips, turned = past
     rate = rig.mechanics.z_rate(z, v)
-    speed, lag = rig.films(speed)
+    speed, late = rig.films(speed)
     at = Sliding(
-        w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s, lag,
-        slips=slips,
-    )  # fmt: skip
+        w.t, w.x, v, w.a, z, rate, speed, P_a1, P_a2, w.P_s, slips=slips, **late
+    )
     return rig.output_force(at._replace(**(turned.seen() if turned else {})))
 
 

@@ -284,19 +284,25 @@ class Rig(eqx.Module):
 
     def films(
         self, speed: Float[Array, "*batch"] | Float[Array, "*batch films"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"] | float]:
-        """The filtered speed, and by how much the films' speed differs from `abs(v)`.
+    ) -> tuple[Float[Array, "*batch"], dict[str, Float[Array, "*batch"]]]:
+        """The filtered speed, and what `Sliding` says of the films' lag.
 
         `speed` as in `State`.
         """
         if not self.velocity:
-            return speed, 0.0
-        return speed[..., 0], jnp.sum(speed[..., 2:] - speed[..., 1:2], axis=-1)
+            return speed, {}
+        lags = jnp.moveaxis(speed[..., 2:] - speed[..., 1:2], -1, 0)
+        turns = [effect.turns() for effect in self.velocity]
+        late = {
+            name: sum(turn[i] * lag for turn, lag in zip(turns, lags, strict=True))
+            for i, name in enumerate(("lag_z", "lag_v"))
+        }
+        return speed[..., 0], {"lag": jnp.sum(lags, axis=0), **late}
 
     def sliding(self, state: State, inputs: StepInput) -> Sliding:
         """What friction sees at the end of a tick."""
         v = stretch.velocity(self.stretch, inputs)
-        speed, lag = self.films(state.speed)
+        speed, late = self.films(state.speed)
         turned = state.turned.seen() if state.turned else {}
         return Sliding(
             t=inputs.t,
@@ -309,8 +315,8 @@ class Rig(eqx.Module):
             P_a1=state.P[0],
             P_a2=state.P[1],
             P_s=inputs.P_s[..., 1],
-            lag=lag,
             slips=state.slips,
+            **late,
             **turned,
         )
 

@@ -151,16 +151,18 @@ def _position(
         return _moved(log, spec, sensor_noise.smoothed, criteria)
 
     smoothed = tuple(map(change, logs))
-    twice = tuple(
-        _moved(log, spec, partial(_again, own), criteria)
-        for log, own in zip(
-            smoothed, _noise_of_each(logs, spec, sensor_noise, criteria), strict=True
+    each = tuple(_noise_of_each(logs, spec, sensor_noise, criteria))
+    again = [
+        tuple(
+            _moved(log, spec, partial(_again, own, seed), criteria)
+            for log, own in zip(smoothed, each, strict=True)
         )
-    )
+        for seed in range(criteria.position_draws)
+    ]
     # Where a chamber is short the same noise moves its pressure further, so that logs
     # that took no part may be left with more of it than those that are fitted.
     both = [
-        (ready(smoothed[own], noise), ready(twice[own], noise))
+        (ready(smoothed[own], noise), *(ready(drawn[own], noise) for drawn in again))
         for own in (slice(count), slice(count, None))
         if smoothed[own]
     ]
@@ -188,7 +190,9 @@ def _position(
     found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, criteria.distorted * found)
     note = _position_note(sensor_noise, noise, extra)
-    return Smoothed(smoothed, np.hypot(noise, extra), note, change, noise_by, both[0])
+    return Smoothed(
+        smoothed, np.hypot(noise, extra), note, change, noise_by, both[0][:2]
+    )
 
 
 def _noise_of_each(
@@ -204,18 +208,22 @@ def _noise_of_each(
 
 
 def _brought(
-    problem: Problem, values: np.ndarray, one: Data, other: Data
+    problem: Problem, values: np.ndarray, one: Data, *others: Data
 ) -> Float[np.ndarray, "3"]:
-    """How far apart replays of the same logs with one position and with the other are,
-    RMS by channel, SI.
+    """How far apart replays of the same logs with one position and with others are,
+    RMS by channel, SI; of the one that is furthest off, as the noise of one recording
+    may be: what it brings stands in a few windows.
     """
-    left = [
+    left, *moved = (
         replace(problem, batch=batch_of(data)).residuals_at(values)
-        for data in (one, other)
-    ]
-    shaken = np.sqrt(np.mean((other.windows.x - one.windows.x) ** 2, axis=1))
-    largest = np.max(shaken, initial=0.0)
-    return _largest(left[1] - left[0], one.log, shaken > SHAKEN * largest)
+        for data in (one, *others)
+    )
+    found = []
+    for other, theirs in zip(others, moved, strict=True):
+        shaken = np.sqrt(np.mean((other.windows.x - one.windows.x) ** 2, axis=1))
+        largest = np.max(shaken, initial=0.0)
+        found.append(_largest(theirs - left, one.log, shaken > SHAKEN * largest))
+    return np.max(found, axis=0)
 
 
 def _position_note(
@@ -274,7 +282,7 @@ def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Smoothed
             _smoothed(log, name, sensor_noise.smoothed, criteria) for log in logs
         )
         again = (
-            _smoothed(log, name, partial(_again, sensor_noise), criteria)
+            _smoothed(log, name, partial(_again, sensor_noise, 0), criteria)
             for log in logs
         )
         off = [
@@ -327,12 +335,14 @@ def _stretches(
                 yield log.time[start:stop], y[start:stop]
 
 
-def _again(sensor_noise: SensorNoise, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _again(
+    sensor_noise: SensorNoise, seed: int, t: np.ndarray, y: np.ndarray
+) -> np.ndarray:
     """A smoothed signal measured once more by such a sensor, and smoothed again.
 
     Beside it as it is, this shows what noise is left, and what smoothing takes off.
     """
-    return sensor_noise.smoothed(t, sensor_noise.again(y))
+    return sensor_noise.smoothed(t, sensor_noise.again(y, seed))
 
 
 def _matters(

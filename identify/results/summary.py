@@ -288,6 +288,8 @@ WHY = {
     "too small": "lowers the validation error, by too little to matter",
     "does not help": "does not lower the validation error beyond chance",
     "explains too little": "leaves most of what stands above the noise",
+    "answers noise": "lowers the error by no more than the noise of the position that "
+    "the model is left with",
     "needless": "was added first, and made unnecessary by what was added later",
     "exchanged": "was added first, and exchanged for what does better with the others",
     "spoils another channel": "raises the validation error of another channel",

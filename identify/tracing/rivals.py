@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.preparation.resolution import NoiseBy
 from hydrojax.identify.tracing.in_balances import near_in_balances
 from hydrojax.identify.tracing.judge import chance, judge, may_rise, negligible, worse
 from hydrojax.identify.tracing.refit import fit_from, refit
@@ -49,6 +50,32 @@ def shed(state: Tracing) -> Tracing:
             state.progress(f"let go of {name}")
             less = _taken_out(state, name)
             state = replace(less, tried={**less.tried, name: "too small"})
+    return state
+
+
+def beyond_position(state: Tracing, noise_by: NoiseBy) -> Tracing:
+    """The state without effects that only change how the model answers the position's
+    noise: a mass times an acceleration that is mostly noise takes some of it away.
+
+    What counts is the mean square above the noise that the model with the effect, and
+    that without it, is left with.
+    """
+    own, seen = state.criteria, np.isfinite(state.noise)
+
+    def noise_of(state: Tracing) -> Float[np.ndarray, "c"]:
+        return noise_by(state.problem, state.point.values)[seen]
+
+    for name in [a.name for a in reversed(state.added)]:
+        noise, bare = noise_of(state), noise_of(_taken_out(state, name))
+        if not np.any(bare > (1 + own.matters) * noise):
+            continue
+        less = without(state, name, state.noise)
+        bare = noise_of(less)
+        fall = (_rms(less)[seen] / bare) ** 2 - 1
+        fall -= ((_rms(state)[seen] / noise) ** 2 - 1) * (noise / bare) ** 2
+        if np.all(fall <= 2 * own.matters):
+            state.progress(f"let go of {name}")
+            state = replace(less, tried={**less.tried, name: "answers noise"})
     return state
 
 

@@ -476,16 +476,25 @@ def test_a_slip_element_holds_nothing_in_its_play_and_its_force_beyond():
     assert np.allclose(kept, np.clip(held, -600, 900), rtol=1e-12)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("v", [0.012, 1e-4, -1e-4, -0.02])
 @pytest.mark.parametrize("turn", [-1.0, -0.4, 0.0, 0.7, 1.0])
-def test_all_that_depends_on_speed_sees_the_film(rig, v, turn):
-    """Along the bristle: when the motion turns, friction does not until it does."""
+def test_all_that_depends_on_speed_sees_the_film(rig, v, turn, share):
+    """Along the bristle, when the motion turns, or by a share along the velocity."""
     film, friction = 9e-3, rig.mechanics
-    at = SLIDING._replace(v=np.float64(v), z=turn * friction.z_ss, lag=film - abs(v))
+    k, s = EFFECTS["frictional_lag"](tau_h=0.1, k=0.8, s=share).turns()
+    late = film - abs(v)
+    at = SLIDING._replace(
+        v=np.float64(v),
+        z=turn * friction.z_ss,
+        lag=late,
+        lag_z=k * late,
+        lag_v=s * late,
+    )
     rise = EFFECTS["stribeck"](k_st=80.0, v_s=6e-3)
     drag = EFFECTS["viscous_friction"](b=700.0)
     got = float(friction.sliding_force(at, (rise,), (drag,)))
-    seen = v + turn * (film - abs(v))
+    seen = v + 0.8 * ((1 - share) * turn + share * np.sign(v)) * late
     level = (900.0 if turn > 0 else 1200.0) + 80 * np.exp(-((film / 6e-3) ** 2))
     fall = 3e3 if seen > 0 else -2e3
     assert got == pytest.approx(turn * level + 100.0 + (700.0 - fall) * seen, rel=1e-12)

@@ -22,7 +22,13 @@ from hydrojax.identify.estimation.fit import FitPoint, fit_all, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing import loop, refit, rivals
 from hydrojax.identify.tracing.judge import better, may_rise, worsened
-from hydrojax.identify.tracing.rivals import exchanged, pruned, shed, with_look_alikes
+from hydrojax.identify.tracing.rivals import (
+    beyond_position,
+    exchanged,
+    pruned,
+    shed,
+    with_look_alikes,
+)
 from hydrojax.identify.tracing.score import Score
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
 
@@ -107,6 +113,35 @@ def test_what_came_to_nothing_is_let_go(opened):
     assert names_of(left) == [TRUE] and left.tried == {WRONG: "too small"}
     assert set(state.free) - set(left.free) == set(free_names(state.effects[WRONG]))
     assert shed(left) is left
+
+
+@pytest.mark.parametrize(
+    ("bare", "rms", "kept"),
+    [(1.16, 1.12, False), (1.16, 1.30, True), (1.0, 1.12, True)],
+    ids=["all of the fall", "part of it", "none of it"],
+)
+def test_what_only_answers_the_positions_noise_is_let_go(
+    opened, monkeypatch, bare, rms, kept
+):
+    """Of the force's noise with the effect: that without it, and the error then. A mass
+    took 0.12 of it away where the position's noise brought 0.16 less by it.
+    """
+    state = unfitted(opened, TRUE)
+    monkeypatch.setattr(rivals, "without", lambda s, n, _: rivals._taken_out(s, n))
+
+    def of_force(state: Tracing, alone: float) -> np.ndarray:
+        return state.noise * np.array([1.0, 1.0, 1.0 if state.added else alone])
+
+    monkeypatch.setattr(rivals, "_rms", lambda s: of_force(s, rms))
+    strength = state.problem.model.names.index(f"{TRUE}.c_il")
+    state.point.values[strength] = 2e-13
+
+    def noise_by(problem: Problem, values: np.ndarray) -> np.ndarray:
+        return state.noise * np.array([1.0, 1.0, 1.0 if values[strength] else bare])
+
+    left = beyond_position(state, noise_by)
+    assert names_of(left) == ([TRUE] if kept else [])
+    assert left.tried == ({} if kept else {TRUE: "answers noise"})
 
 
 def test_no_effect_may_bend_the_pressures_for_the_force(opened):
