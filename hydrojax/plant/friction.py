@@ -138,7 +138,8 @@ class Friction(eqx.Module):
         film = at._replace(v=at.v + jnp.where(at.v < 0, -1.0, 1.0) * at.lag)
         level = jnp.where(up, self.k_cp, self.k_cn)
         level = level + sum(e.level(film, level) for e in levels)
-        late = turn * at.lag_z + jnp.sign(at.v) * at.lag_v
+        # At rest a logged speed is noise of either sign: rounded over 0.1 mm/s.
+        late = turn * at.lag_z + at.v / jnp.sqrt(at.v * at.v + 1e-8) * at.lag_v
         film = at._replace(v=at.v + late)
         fall = jnp.where(film.v > 0, self.k_vp, self.k_vn) * film.v
         return turn * level + self.k_0 - fall + sum(e.force(film) for e in adds)

@@ -494,7 +494,7 @@ def test_all_that_depends_on_speed_sees_the_film(rig, v, turn, share):
     rise = EFFECTS["stribeck"](k_st=80.0, v_s=6e-3)
     drag = EFFECTS["viscous_friction"](b=700.0)
     got = float(friction.sliding_force(at, (rise,), (drag,)))
-    seen = v + 0.8 * ((1 - share) * turn + share * np.sign(v)) * late
+    seen = v + 0.8 * ((1 - share) * turn + share * v / np.hypot(v, 1e-4)) * late
     level = (900.0 if turn > 0 else 1200.0) + 80 * np.exp(-((film / 6e-3) ** 2))
     fall = 3e3 if seen > 0 else -2e3
     assert got == pytest.approx(turn * level + 100.0 + (700.0 - fall) * seen, rel=1e-12)
