@@ -348,14 +348,11 @@ def _again(
 def _matters(
     sensor_noise: SensorNoise, rig: Rig, data: Data, criteria: Criteria
 ) -> bool:
-    """Whether what the position brings once smoothed shows beside a channel's noise, by
-    the rig's declared values.
+    """Whether what the position brings as it is shows beside a channel's noise, by the
+    rig's declared values.
     """
-    h = float(np.median(data.motion.h))
-    left = sensor_noise.sigma * np.sqrt(min(2 * sensor_noise.cut * h, 1.0))
-    return bool(
-        np.any(left * answer(rig, batch_of(data)) > criteria.sensor_counts * data.noise)
-    )
+    brings = sensor_noise.sigma * answer(rig, batch_of(data))
+    return bool(np.any(brings > criteria.sensor_counts * data.noise))
 
 
 def _largest(change: np.ndarray, log: np.ndarray, shaken: np.ndarray) -> np.ndarray:

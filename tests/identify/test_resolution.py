@@ -209,6 +209,16 @@ def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
     np.testing.assert_array_equal(case.fit_logs[0].signals["psi"], raw.signals["psi"])
 
 
+@pytest.mark.slow
+def test_what_smoothing_would_take_off_is_reason_to_smooth(tmp_path, monkeypatch):
+    """Twenty-two bits move F by half of its noise as they are, and smoothed by less
+    than what is dealt with.
+    """
+    case = coarse_case(tmp_path, monkeypatch, 22)
+    assert any("the position is known to 0.03" in note for note in case.fit.notes)
+    assert 1.005 < case.fit.noise[2] / 2.5 < 1.2
+
+
 @pytest.mark.parametrize("found, beta, more", [(0.8, 1, 0.8), (1.2, 1, 1.2),
                                                (3, 1, 1.5), (1.2, 3e9, 1)])  # fmt: skip
 def test_the_model_found_raises_the_noise_by_half_at_most(
