@@ -300,8 +300,13 @@ def _prepared(
     band = common_band(every, spec, driven_by, criteria)
     noise = channel_noise(every, spec, driven_by)
 
-    def ready(logs: Sequence[Log], noise: np.ndarray, sign: float = 1.0) -> Data:
-        return prepare_logs(logs, spec, horizon, noise, sign, band, criteria)
+    def ready(
+        logs: Sequence[Log],
+        noise: np.ndarray,
+        sign: float = 1.0,
+        placed: Sequence[Log] | None = None,
+    ) -> Data:
+        return prepare_logs(logs, spec, horizon, noise, sign, band, criteria, placed)
 
     fit = ready(fitted, noise)
     found = resolve(every, len(fitted), spec, fit, ready, criteria)

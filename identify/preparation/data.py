@@ -73,6 +73,7 @@ def prepare_logs(
     sign: float = 1.0,
     band: float | None = None,
     criteria: Criteria = Criteria(),
+    placed: Sequence[Log] | None = None,
 ) -> Data:
     """Make logs ready for a replay of the rig.
 
@@ -84,6 +85,8 @@ def prepare_logs(
         sign: -1 reverses the motion.
         band: Hz up to which acceleration is taken; None to find it.
         criteria: how much is read, and up to which band.
+        placed: the same logs with another position, if by that one windows are placed:
+            they are compared with its own.
 
     Raises:
         InputError: no motion, nothing to predict, logs that differ in their signals,
@@ -97,7 +100,7 @@ def prepare_logs(
     rows = _rows(logs, criteria)
     h = _tick(logs, rows, driven_by, criteria)
     size = _Size.of(horizon, h, driven_by)
-    rows, starts, used = _spread_windows(logs, rows, size, h, criteria)
+    rows, starts, used = _spread_windows(placed or logs, rows, size, h, criteria)
     segments = [segment(i, logs[i], spec, r, driven_by, sign, band) for i, r in rows]
     cuts = [(k, first) for k, own in enumerate(starts) for first in own]
     windows, P_0 = cut(segments, cuts, size.T, size.ahead, size.lead, size.substeps)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -78,8 +78,18 @@ SHAKEN = 0.1
 that only rounds says the same again at rest."""
 
 
-Ready = Callable[[Sequence[Log], Float[np.ndarray, "3"]], Data]
-"""What makes logs ready, with a noise of the channels, SI."""
+class Ready(Protocol):
+    """What makes logs ready, as `prepare_logs` does."""
+
+    def __call__(
+        self,
+        logs: Sequence[Log],
+        noise: Float[np.ndarray, "3"],
+        sign: float = 1.0,
+        placed: Sequence[Log] | None = None,
+    ) -> Data:
+        """Logs with a noise of their channels, SI."""
+        ...
 
 
 def resolve(
@@ -162,7 +172,10 @@ def _position(
     # Where a chamber is short the same noise moves its pressure further, so that logs
     # that took no part may be left with more of it than those that are fitted.
     both = [
-        (ready(smoothed[own], noise), *(ready(drawn[own], noise) for drawn in again))
+        (
+            ready(smoothed[own], noise),
+            *(ready(drawn[own], noise, placed=smoothed[own]) for drawn in again),
+        )
         for own in (slice(count), slice(count, None))
         if smoothed[own]
     ]
@@ -191,7 +204,12 @@ def _position(
     extra = np.clip(extra, found, criteria.distorted * found)
     note = _position_note(sensor_noise, noise, extra)
     return Smoothed(
-        smoothed, np.hypot(noise, extra), note, change, noise_by, both[0][:2]
+        smoothed,
+        np.hypot(noise, extra),
+        note,
+        change,
+        noise_by,
+        (both[0][0], both[0][1]),
     )
 
 
