@@ -1,0 +1,1 @@
+"""Simulated cylinders and machines whose authors never saw hydrojax; traced blind."""

@@ -1,0 +1,1 @@
+"""Force-controlled hydraulic cylinders, their faults and the logs they leave."""

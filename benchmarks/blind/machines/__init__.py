@@ -1,0 +1,1 @@
+"""Cranes, excavators and presses: a differential cylinder at a proportional valve."""
