@@ -32,7 +32,11 @@ from hydrojax.identify.estimation.starts import best_start
 from hydrojax.identify.inference.profile import profiles
 from hydrojax.identify.inference.tolerance import with_tolerances
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
-from hydrojax.identify.late import with_delay_replayed, with_late_position
+from hydrojax.identify.late import (
+    with_command_between,
+    with_delay_replayed,
+    with_late_position,
+)
 from hydrojax.identify.longer import with_long_runs
 from hydrojax.identify.motion.predict import check_drive, predict_motion
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
@@ -184,9 +188,10 @@ def trace_case(
         ) -> tuple[Case, Findings, FitPoint, Tracing]:
             own = ready if case is given else _Ready.of(case, pool)
             base = own.fitted(case, starts, progress)
-            later = with_delay_replayed(
-                case, given.spec, found, *base[2:], own.free, progress
-            )
+            at = (*base[2:], own.free, progress)
+            later = with_delay_replayed(case, given.spec, found, *at)
+            if later is found:
+                later = with_command_between(case, found, *at)
             if later is not found:
                 case, found = mended_case(given, later)
                 own = _Ready.of(case, pool)

@@ -1,4 +1,6 @@
-"""How late a position is, as replays have it: a balance of flow knows it less well."""
+"""How late a position or a command is, as replays have it: a balance of flow knows it
+less well.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,12 @@ from hydrojax.identify.case import Case
 from hydrojax.identify.checking.factors import LATEST
 from hydrojax.identify.checking.mended import Findings
 from hydrojax.identify.checking.path import least
-from hydrojax.identify.checking.words import late_position, with_delay
+from hydrojax.identify.checking.words import (
+    Finding,
+    command_between,
+    late_position,
+    with_delay,
+)
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
@@ -58,7 +65,7 @@ def with_delay_replayed(
         free: what was free in it.
         progress: is called with a line of text.
     """
-    late = next((f for f in found if f.mended and f.finding == "delay"), None)
+    late = next((f for f in found if f.mended and _is_late(f)), None)
     if late is None or not problem.sees_pressures:
         return found
     progress(f"find the delay of {late.input} by replays")
@@ -99,8 +106,7 @@ def with_late_position(
     problem, own, noise = state.problem, state.criteria, state.noise
     seen = np.isfinite(noise) & PRESSURES
     rms = state.check.rms(state.check.errors_at(state.point.values))
-    known = any(f.finding == "delay" for f in found)
-    if known or not np.any((rms > own.at_noise * noise)[seen]):
+    if any(map(_is_late, found)) or not np.any((rms > own.at_noise * noise)[seen]):
         return found
     name = case.read_logs[0].motion
     progress(f"see whether {name} is late")
@@ -124,6 +130,52 @@ def with_late_position(
         return found
     around = (late / 2 * tick, min(2 * late * tick, LATEST))
     return (*found, late_position(case.spec, name, least(error, around, tick / 2)[0]))
+
+
+def with_command_between(
+    case: Case,
+    found: Findings,
+    problem: Problem,
+    point: FitPoint,
+    free: Sequence[str],
+    progress: Callable[[str], None],
+) -> Findings:
+    """The findings, with that of a command that runs on from row to row where the model
+    holds it until the next, if half a row's time takes most of what the fit leaves
+    above the noise; else themselves.
+
+    Args:
+        case: with the findings mended in it.
+        found: in its inputs.
+        problem: that was fitted.
+        point: where that fit ended.
+        free: what was free in it.
+        progress: is called with a line of text.
+    """
+    own, noise = problem.criteria, np.asarray(problem.batch.noise)
+    seen = np.isfinite(noise) & PRESSURES
+    half = _tick(case) / 2
+    if case.fit.driven_by != "u" or any(f.input == "u" for f in found):
+        return found
+
+    weights, floor = np.where(seen, noise, np.inf), np.sum(seen)
+    same = _Error(case, problem, lambda _: point.values, "u", weights)
+    given = same(0.0)
+    if given <= own.at_noise**2 * floor or same(half) >= given:
+        return found
+    progress("see whether u runs on between rows")
+
+    def refitted(moved: Problem) -> np.ndarray:
+        return fit_pressures(moved, point.values, free, own.enough_in_search)[1]
+
+    left = _Error(case, problem, refitted, "u", weights)(half) - floor
+    if left > own.late_leaves * (given - floor):
+        return found
+    return (*found, command_between(case.spec, half))
+
+
+def _is_late(finding: Finding) -> bool:
+    return finding.finding == "delay" and finding.input != "u"
 
 
 def _tick(case: Case) -> float:

@@ -245,6 +245,18 @@ def late_position(spec: RigFile, name: str, seconds: float) -> Finding:
     return with_delay(late, spec, spec, seconds)
 
 
+def command_between(spec: RigFile, seconds: float) -> Finding:
+    """A command that runs on between rows, which are twice so many seconds apart."""
+    was = spec.channels["u"].late if "u" in spec.channels else 0.0
+    ms = text(float(f"{1e3 * (was + seconds):.3g}"), "ms")
+    lines = columns(spec, ["u"], delay=ms)
+    says = (
+        "u runs on from row to row, and is not held until the next one: write "
+        f"{written(lines)}, half a row's time"
+    )
+    return Finding("u", "delay", None, None, None, "", says, lines)
+
+
 def with_delay(late: Finding, given: RigFile, spec: RigFile, more: float) -> Finding:
     """The finding of a late position, with how late it is.
 

@@ -15,7 +15,12 @@ from hydrojax.identify import api, late
 from hydrojax.identify.case import open_case
 from hydrojax.identify.checking.mended import mended, mended_case
 from hydrojax.identify.checking.words import late_position
-from hydrojax.identify.late import _lowest, with_delay_replayed, with_late_position
+from hydrojax.identify.late import (
+    _lowest,
+    with_command_between,
+    with_delay_replayed,
+    with_late_position,
+)
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.rigfile.schema import RigFile
 from tests.pages import ROOT
@@ -96,6 +101,39 @@ def test_what_a_model_lacks_is_not_a_late_position(seed, tmp_path):
     rms = state.check.rms(state.check.errors_at(state.point.values))
     assert np.max(rms[:2] / state.noise[:2]) > 2.0
     assert with_late_position(case, (), state, print) == ()
+
+
+@pytest.mark.slow
+def test_a_command_that_runs_on_between_rows_is_seen(tmp_path):
+    """An operator's, at 250 Hz, of a valve that is declared to act at once; under the
+    true parameters pressures are off by 150 kPa in some windows with it held.
+    """
+    pytest.importorskip("numba")
+    from benchmarks.blind.machines.make import make_case
+
+    make_case(24, tmp_path)
+    (folder,) = tmp_path.iterdir()
+    logs = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "validate")]
+    case = open_case(folder / "rig.toml", logs[:2], logs[2:])
+    state = ended(case)
+    at = (state.problem, state.point, state.free, print)
+    (found,) = with_command_between(case, (), *at)
+    assert (found.input, found.finding) == ("u", "delay")
+    near, marked = mended_case(case, [found])
+    assert near.spec.channels["u"].late == pytest.approx(2e-3, rel=1e-3)
+    there = ended(near)
+    off = [s.check.rms(s.check.errors_at(s.point.values)) for s in (state, there)]
+    assert np.all(off[1][:2] < 0.8 * off[0][:2])
+    assert with_command_between(near, marked, *at) is marked
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [83, 92])
+def test_what_a_model_lacks_is_not_a_command_between_rows(seed, tmp_path):
+    case = opened(seed, 0.0, tmp_path)
+    state = ended(case)
+    at = (state.problem, state.point, state.free, print)
+    assert with_command_between(case, (), *at) == ()
 
 
 def test_a_position_that_replays_have_early_is_not_called_late(monkeypatch):
