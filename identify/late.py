@@ -154,14 +154,15 @@ def with_command_between(
     """
     own, noise = problem.criteria, np.asarray(problem.batch.noise)
     seen = np.isfinite(noise) & PRESSURES
-    half = _tick(case) / 2
     if case.fit.driven_by != "u" or any(f.input == "u" for f in found):
         return found
-
-    weights, floor = np.where(seen, noise, np.inf), np.sum(seen)
+    rms = problem.rms(problem.errors_at(point.values))
+    if not np.any((rms > own.at_noise * noise)[seen]):
+        return found
+    half, weights = _tick(case) / 2, np.where(seen, noise, np.inf)
     same = _Error(case, problem, lambda _: point.values, "u", weights)
-    given = same(0.0)
-    if given <= own.at_noise**2 * floor or same(half) >= given:
+    given, floor = same(0.0), np.sum(seen)
+    if same(half) >= given:
         return found
     progress("see whether u runs on between rows")
 
