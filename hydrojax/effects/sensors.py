@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hydrojax.effects.second_order import free_motion
 from hydrojax.parameters import param, spread
 from hydrojax.plant.effect import SensorChannel
 
@@ -145,7 +146,7 @@ class SignalFilter(SensorChannel):
     first two derivatives. A supply that is logged unfiltered is distorted by that.
 
     Exact for a signal that is linear over each tick. Stored as `tau = 1/omega` so that
-    absent is 0. `zeta` is taken up to 1, as of `valve_lag`.
+    absent is 0.
     """
 
     of_the_logger = True
@@ -166,7 +167,7 @@ class SignalFilter(SensorChannel):
         outside=("omega", "rad/s"),
     )
     zeta: Float[Array, ""] = param(
-        "1", 0.7, 0.3, 0.99, "filter's damping ratio", prior=0.2
+        "1", 0.7, 0.3, 3.0, "filter's damping ratio", prior=0.2
     )
 
     def forgets(self):
@@ -189,11 +190,11 @@ class SignalFilter(SensorChannel):
         behind = 2 * self.zeta * self.tau * slope
         off, moving = out - before + behind, rate - self.tau * slope
         absent = self.tau <= 0
-        s = h / jnp.where(absent, 1.0, self.tau)
-        zeta = jnp.clip(self.zeta, 0.0, 0.999)
-        w = jnp.sqrt(1 - zeta**2)
-        fade = jnp.where(absent, 0.0, jnp.exp(-zeta * s))
-        cos, sin = fade * jnp.cos(w * s), fade * jnp.sin(w * s) / w
+        zeta = self.zeta
+        cos, sin = (
+            jnp.where(absent, 0.0, part)
+            for part in free_motion(zeta, h / jnp.where(absent, 1.0, self.tau))
+        )
         new = (cos + zeta * sin) * off + sin * moving
         moving = -sin * off + (cos - zeta * sin) * moving
         out = y - behind + new

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hydrojax.effects.second_order import free_motion
 from hydrojax.parameters import param, spread
 from hydrojax.plant.effect import (
     CommandChannel,
@@ -170,7 +171,7 @@ class ValveLag(Spool):
 
     Exact for a held command. Stored as `tau = 1/omega` so that absent is 0. The mean
     over the tick keeps the derivative alive there, which the value at the tick's end
-    would not. `zeta` is taken up to 1: a slower spool is seen as critical.
+    would not.
     """
 
     name = "valve_lag"
@@ -186,9 +187,7 @@ class ValveLag(Spool):
         grid=spread(1e-3, 0.05, 6),
         outside=("omega", "rad/s"),
     )
-    zeta: Float[Array, ""] = param(
-        "1", 0.7, 0.2, 0.99, "spool damping ratio", prior=0.2
-    )
+    zeta: Float[Array, ""] = param("1", 0.7, 0.2, 3.0, "spool damping ratio", prior=0.2)
 
     def init(self, u):
         return u, jnp.zeros_like(u)
@@ -197,11 +196,11 @@ class ValveLag(Spool):
         y, rate = memory  # the spool's place, and its rate times tau
         off = y - u
         absent = self.tau <= 0
-        s = h / jnp.where(absent, 1.0, self.tau)
-        zeta = jnp.clip(self.zeta, 0.0, 0.999)
-        w = jnp.sqrt(1 - zeta**2)
-        fade = jnp.where(absent, 0.0, jnp.exp(-zeta * s))
-        cos, sin = fade * jnp.cos(w * s), fade * jnp.sin(w * s) / w
+        zeta = self.zeta
+        cos, sin = (
+            jnp.where(absent, 0.0, part)
+            for part in free_motion(zeta, h / jnp.where(absent, 1.0, self.tau))
+        )
         off_new = (cos + zeta * sin) * off + sin * rate
         rate_new = -sin * off + (cos - zeta * sin) * rate
         # Integral of the offset over the tick, from A^-1 (e^{Ah} - 1).
