@@ -82,7 +82,8 @@ def with_delay_replayed(
         spec.channels[late.input].late if late.input in spec.channels else 0.0
         for spec in (given, case.spec)
     )
-    if now + moves * step <= was:  # the balances called it late, and it is not
+    # The balances called it late (or early), and it is not.
+    if (now + moves * step - was) * (now - was) <= 0:
         return tuple(f for f in found if f is not late)
     new = with_delay(late, given, case.spec, moves * step)
     return tuple(new if f is late else f for f in found)

@@ -177,7 +177,7 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
             f"{path}: [channels] time.delay: the time is not late to itself; give the "
             "delay to the channels that are"
         )
-    shortest += max(late.values(), default=0.0)
+    shortest += max(map(abs, late.values()), default=0.0)
     segments, cuts = segments_of(time, arrays, shortest)
     if not segments and time[-1] - time[0] < shortest:
         raise InputError(
@@ -254,11 +254,11 @@ def brought_forward(
         time: s.
         signals: as they were logged, SI.
         segments: see `Log`.
-        late: how late signals are, s, by name.
+        late: how late signals are, s, by name; early ones below 0.
 
     Returns:
         The signals, and the segments without the end of which the late ones do not
-        show anything.
+        show anything, and without the beginning that early ones do not show.
     """
     if not late:
         return dict(signals), tuple(segments)
@@ -267,10 +267,16 @@ def brought_forward(
     for start, stop in segments:
         own = time[start:stop]
         for name, lag in late.items():
-            at = np.minimum(own + lag, own[-1])
+            at = np.clip(own + lag, own[0], own[-1])
             out[name][start:stop] = _between(own, signals[name][start:stop], name)(at)
-        last = own[-1] - max(late.values())
-        cut.append((start, start + int(np.searchsorted(own, last, side="right"))))
+        first = own[0] - min(0.0, *late.values())
+        last = own[-1] - max(0.0, *late.values())
+        cut.append(
+            (
+                start + int(np.searchsorted(own, first)),
+                start + int(np.searchsorted(own, last, side="right")),
+            )
+        )
     return out, tuple(cut)
 
 

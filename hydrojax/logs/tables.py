@@ -42,12 +42,12 @@ _CELL = 64
 
 
 LONGEST_DELAY = 1.0
-"""Seconds that a column may be late, at most."""
+"""Seconds that a column may be late, or early, at most."""
 
 
 def _delay(text: str) -> str:
     with suppress(InputError):
-        if 0 <= units.quantity(text, "s", "delay") <= LONGEST_DELAY:
+        if abs(units.quantity(text, "s", "delay")) <= LONGEST_DELAY:
             return text
     raise PydanticCustomError("delay", "no delay")
 
@@ -57,7 +57,7 @@ class Channel(BaseModel):
 
     `scale` is what the column is multiplied by beside its unit, as for a gauge whose
     span is off. `delay` is how long after the other columns it shows the same moment,
-    as a sensor behind a slow bus does.
+    as a sensor behind a slow bus does; below 0 where it shows it earlier.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)

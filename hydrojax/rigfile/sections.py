@@ -133,7 +133,7 @@ def _refuse(path: str, tree: Mapping[str, Any], error: ValidationError) -> NoRet
         "model_type": 'a table such as { column = "..." }',
         "bool_type": "true or false",
         **dict.fromkeys(("float_type", "greater_than", "less_than"), A_FACTOR),
-        "delay": f'a time of 0 to {LONGEST_DELAY:g} s, such as "5 ms"',
+        "delay": f'a time of at most {LONGEST_DELAY:g} s, such as "5 ms"',
         "value_error": f"at most {WORD} characters that can be printed",
     }
     shape = shapes.get(first["type"], "text in quotes")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -80,10 +81,20 @@ class LeftOut:
     mended: float
 
 
+GAUGE_LATE = 0.5
+"""Share of the error beside all effects that bringing one gauge forward may leave."""
+ALIKE = 1.25
+"""Ratio of errors up to which one late gauge is not told from two, or from an early
+position."""
+
+
 @dataclass(frozen=True)
 class Delay:
-    """A position that is late, s: the error of the flow as given, and mended, m^3."""
+    """An input that is late, s, or early (below 0): the error of the flow as given, and
+    mended, m^3.
+    """
 
+    input: str
     seconds: float
     given: float
     mended: float
@@ -129,7 +140,39 @@ def _position_delay(of: Inputs, within: float) -> Delay | None:
         for s in steps
     ):
         return None
-    return Delay(seconds, given, mended)
+    return Delay("x", seconds, given, mended)
+
+
+def gauge_delay(of: Inputs) -> Delay | None:
+    """How late one gauge is beside all else, or how early (below 0); None where neither
+    is.
+
+    Beside all that effects do to the flow: none moves one gauge and not the other.
+    """
+    given, steps = _error(of), shifts(of.h, LATEST)
+    found = []
+    for name, way in product(("P_a1", "P_a2"), (1.0, -1.0)):
+
+        def error(seconds: float, name: str = name, way: float = way) -> float:
+            return _forward(of, name, way * seconds)
+
+        near, around = _first_dip(error, steps)
+        if near:
+            seconds, left = least(error, around, 0.02 * of.h)
+            found.append((left, way * seconds, name))
+    if not found:
+        return None
+    mended, seconds, name = min(found)
+    if mended > GAUGE_LATE * given:
+        return None
+    both = of.brought_forward("P_a1", seconds).brought_forward("P_a2", seconds)
+    others = (_error(both), *(_forward(of, "x", s) for s in (-seconds, -seconds / 2)))
+    return Delay(name, seconds, given, mended) if ALIKE * mended < min(others) else None
+
+
+def _forward(of: Inputs, name: str, seconds: float) -> float:
+    """The error with an input brought forward."""
+    return _error(of.brought_forward(name, seconds))
 
 
 def _brought_forward(of: Inputs, within: float) -> tuple[float, float, Inputs]:

@@ -15,6 +15,7 @@ from hydrojax.identify.checking.factors import (
     force_balance,
     force_factor,
     force_left_out,
+    gauge_delay,
     position_delay,
     supply_factor,
 )
@@ -55,14 +56,14 @@ def inputs_that_lie(
             scale[name] = scale.get(name, 1.0) * abs(mend.factor)
     noise = {n: scale[n] * float(channels.noise[n]) for n in channels.index}
     if mended.has_flow:
-        if (late := position_delay(mended)) is not None:
+        if (late := gauge_delay(mended) or position_delay(mended)) is not None:
             one = words.of_delay(late, mended)
             try:
                 of = replace(of, spec=applied(of.spec, one.lines))
             except InputError:  # later than any channel may be
                 one = replace(one, lines={})
             found.append(one)
-            mended = mended.brought_forward("x", late.seconds)
+            mended = mended.brought_forward(late.input, late.seconds)
             mended = replace(mended, spec=of.spec)
         factor = supply_factor(mended)
         if factor is not None:

@@ -155,11 +155,16 @@ class Inputs:
         return replace(self, stretches=new)
 
     def brought_forward(self, name: str, seconds: float) -> Inputs:
-        """With "x" or "u" as it is so much later; its end stays as it is."""
+        """With "x", "u" or a gauge as it is so much later; its end stays as it is."""
+        gauge = {"P_a1": 0, "P_a2": 1}.get(name)
 
         def moved(s: EvenTicks) -> EvenTicks:
             t = s.h * np.arange(len(s.x))
-            return replace(s, **{name: np.interp(t + seconds, t, getattr(s, name))})
+            if gauge is None:
+                return replace(s, **{name: np.interp(t + seconds, t, getattr(s, name))})
+            P = s.P.copy()
+            P[:, gauge] = np.interp(t + seconds, t, P[:, gauge])
+            return replace(s, P=P)
 
         return replace(self, stretches=tuple(map(moved, self.stretches)))
 

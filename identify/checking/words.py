@@ -232,10 +232,11 @@ def supply_like_gains(
 
 
 def of_delay(found: Delay, of: Inputs) -> Finding:
-    """A position that is late."""
-    size = stiffness(of.brought_forward("x", found.seconds))
+    """A position, or one of the gauges, that is late."""
+    size = stiffness(of.brought_forward(found.input, found.seconds))
     errors = (size * found.given, size * found.mended)
-    late = Finding(of.motion, "delay", None, *errors, "Pa", "")
+    name = of.motion if found.input == "x" else found.input
+    late = Finding(name, "delay", None, *errors, "Pa", "")
     return with_delay(late, of.spec, of.spec, found.seconds)
 
 
@@ -258,7 +259,7 @@ def command_between(spec: RigFile, seconds: float) -> Finding:
 
 
 def with_delay(late: Finding, given: RigFile, spec: RigFile, more: float) -> Finding:
-    """The finding of a late position, with how late it is.
+    """The finding of a late position or gauge, with how late it is.
 
     Args:
         late: the finding.
@@ -272,9 +273,13 @@ def with_delay(late: Finding, given: RigFile, spec: RigFile, more: float) -> Fin
     )
     ms = float(f"{1e3 * (now + more):.3g}")
     lines = columns(spec, [name], delay=text(ms, "ms"))
+    beside = {"P_a1": "P_a2", "P_a2": "P_a1"}.get(name, "the pressures")
+    by = ms - 1e3 * was
+    how = "late" if by > 0 else "early"
+    why = "a slow bus, or a filter" if by > 0 else "all else comes by a slower bus"
     says = (
-        f"{name} is {ms - 1e3 * was:.2g} ms late beside the pressures (a slow bus, or "
-        f"a filter): write {written(lines)}"
+        f"{name} is {abs(by):.2g} ms {how} beside {beside} ({why}): write "
+        f"{written(lines)}"
     )
     return replace(late, lines=lines, says=says)
 

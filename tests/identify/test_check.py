@@ -86,6 +86,30 @@ def test_the_mend_is_the_lie_undone(honest, name):
     assert first.error_if_mended < 0.8 * first.error
 
 
+@pytest.mark.parametrize(
+    ("name", "ms"),
+    [
+        ("P_a1", 8.0),
+        ("P_a2", -8.0),
+        pytest.param("P_a1", -2.0, marks=pytest.mark.slow),
+        pytest.param("P_a2", 2.0, marks=pytest.mark.slow),
+    ],
+)
+def test_one_gauge_that_is_late_or_early_is_brought_to_the_others(honest, name, ms):
+    rig, logs = honest
+
+    def moved(log: hj.Log) -> hj.Log:
+        P = np.interp(log.time - 1e-3 * ms, log.time, log.signals[name])
+        return replace(log, signals=log.signals | {name: P})
+
+    lied = [moved(log) for log in logs]
+    new, found = mended(rig, hj.check(rig, lied).found)
+    assert [(f.input, f.finding, f.mended) for f in found] == [(name, "delay", True)]
+    assert new.channels[name].late == pytest.approx(1e-3 * ms, abs=2e-4)
+    assert ("early" if ms < 0 else "late") in found[0].says
+    assert hj.check(new, [read_again(log, found, new) for log in lied]).found == ()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("ms", (1, 5, 20))
 def test_a_late_position_is_brought_forward(honest, tmp_path, ms):
@@ -293,13 +317,13 @@ def test_a_line_that_no_rig_can_have_is_left_out():
 
 
 def test_a_mend_that_can_no_more_be_made_is_none():
-    """A position that balances called late, and replays have early."""
+    """A position that balances called late, and replays by more than any may be."""
     spec = hj.RigFile.from_text(DIFFERENTIAL)
     late = late_position(spec, "x", 0.3e-3)
     new, (found,) = mended(spec, [late])
     assert found.mended and new.channels["x"].late == pytest.approx(0.3e-3)
-    early = with_delay(found, spec, new, -0.32e-3)
-    unmended, (none,) = mended(spec, [early])
+    later = with_delay(found, spec, new, 1.2)
+    unmended, (none,) = mended(spec, [later])
     assert unmended is spec and not none.mended
 
 

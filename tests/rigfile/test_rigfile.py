@@ -100,7 +100,7 @@ def refusal(tmp_path: Path, text: str, *words: str) -> None:
         assert word in line
 
 
-@pytest.mark.parametrize("delay", ['"5"', '"5 mm"', '"-1 ms"', '"2 s"', "5", '""'])
+@pytest.mark.parametrize("delay", ['"5"', '"5 mm"', '"-1.1 s"', '"2 s"', "5", '""'])
 def test_a_delay_that_is_none(tmp_path: Path, delay: str) -> None:
     text = swapped("invert = true", f"delay = {delay}")
     refusal(tmp_path, text, "[channels] u.delay", "expected")
