@@ -161,14 +161,7 @@ def _position(
         return _moved(log, spec, sensor_noise.smoothed, criteria)
 
     smoothed = tuple(map(change, logs))
-    each = tuple(_noise_of_each(logs, spec, sensor_noise, criteria))
-    again = [
-        tuple(
-            _moved(log, spec, partial(_again, own, seed), criteria)
-            for log, own in zip(smoothed, each, strict=True)
-        )
-        for seed in range(criteria.position_draws)
-    ]
+    again = _drawn_again(logs, smoothed, spec, sensor_noise, criteria)
     # Where a chamber is short the same noise moves its pressure further, so that logs
     # that took no part may be left with more of it than those that are fitted.
     both = [
@@ -211,6 +204,24 @@ def _position(
         noise_by,
         (both[0][0], both[0][1]),
     )
+
+
+def _drawn_again(
+    logs: tuple[Log, ...],
+    smoothed: tuple[Log, ...],
+    spec: RigFile,
+    common: SensorNoise,
+    criteria: Criteria,
+) -> list[tuple[Log, ...]]:
+    """The smoothed logs with their position measured once more, as often as counts."""
+    each = tuple(_noise_of_each(logs, spec, common, criteria))
+    return [
+        tuple(
+            _moved(log, spec, partial(_again, own, seed), criteria)
+            for log, own in zip(smoothed, each, strict=True)
+        )
+        for seed in range(criteria.position_draws)
+    ]
 
 
 def _noise_of_each(
