@@ -196,14 +196,8 @@ def _position(
     found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, criteria.distorted * found)
     note = _position_note(sensor_noise, noise, extra)
-    return Smoothed(
-        smoothed,
-        np.hypot(noise, extra),
-        note,
-        change,
-        noise_by,
-        (both[0][0], both[0][1]),
-    )
+    twice = both[0][0], both[0][1]
+    return Smoothed(smoothed, np.hypot(noise, extra), note, change, noise_by, twice)
 
 
 def _drawn_again(
