@@ -84,12 +84,12 @@ def test_what_a_declared_effect_leaves_out_is_found_where_it_is_known_roughly(tm
     found = free_parameters(spec)
     assert set(found) == {"beta", "k_fp", "valve_lag.tau", "valve_lag.zeta"}
     zeta = found["valve_lag.zeta"]
-    assert (zeta.start, zeta.lower, zeta.upper, zeta.prior) == (0.7, 0.2, 0.99, 0.2)
+    assert (zeta.start, zeta.lower, zeta.upper, zeta.prior) == (0.7, 0.2, 3.0, 0.2)
 
     values = {"valve_lag.zeta": 0.85, "entrained_air.n": 1.2}
     new = reread(tmp_path, rewrite(spec, values))
     assert new.effects["valve_lag"]["zeta"].start == pytest.approx(0.85)
-    assert new.effects["valve_lag"]["zeta"].range == pytest.approx((0.2, 0.99))
+    assert new.effects["valve_lag"]["zeta"].range == pytest.approx((0.2, 3.0))
     assert new.effects["valve_lag"]["tau"] == spec.effects["valve_lag"]["tau"]
     assert set(new.effects["entrained_air"]) == {"alpha"}
 
