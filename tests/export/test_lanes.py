@@ -130,6 +130,6 @@ def test_a_loop_in_a_loop():
             a = a + r * 1e-2
         return 0.5 * a, (a,)
 
-    # Terms near 1 cancel in some lanes, and a compiler may join their products and sums.
+    # Terms near 1 cancel in some lanes, and a compiler may join product and sum.
     found, wanted = run(step, jnp.zeros(())), by_hand(plain, 0.0)
     np.testing.assert_allclose(found, wanted, 1e-12, 1e-15)
