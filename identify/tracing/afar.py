@@ -50,14 +50,16 @@ def from_afar(
     and from zero the other has no slope left.
     Nothing is asked where nothing stands above the noise, or where a candidate's score
     at zero accounts for all of it; and the balances only of pressures that do. Where
-    they are at their noise and the force is not, which may show a valve's small faults
-    more clearly, what acts on the pressures is rated by replays.
+    they are at their noise and the force plainly is not, which may show a valve's small
+    faults more clearly, what acts on the pressures is rated by replays.
 
     Returns:
         By effect the gain, in units of its score's, and where it may be fitted from,
         the best first.
     """
-    above = _above(state, noise)
+    ratio = state.problem.rms(state.problem.errors_at(state.point.values)) / noise
+    # Half way to what counts as above the noise.
+    above = np.isfinite(noise) & (ratio > (1 + state.criteria.at_noise) / 2)
     if not effects or not np.any(above) or _accounted(state, scores, noise):
         return {}
     whole = next(iter(scores.values())).left
@@ -65,7 +67,7 @@ def from_afar(
     if np.any(above & PRESSURES):
         steps = state.criteria.far_steps
         searches.insert(0, in_balances(state, effects, bases(state), steps))
-    elif state.problem.sees_pressures:
+    elif state.problem.sees_pressures and ratio[2] > state.criteria.at_noise:
         searches.append(_hydraulics(state, effects, noise))
     if state.problem.sees_force and state.problem.sees_pressures:
         # Last, so that it counts where the balances rate the same effects.
@@ -160,14 +162,6 @@ def _by_replays(
     left = evaluate(at, state.free).predicted(few)
     here = min([left, *(f.left for f in fits)])
     return Search(few, evaluate, here, grids, begin, own.far_steps)
-
-
-def _above(state: Tracing, noise: np.ndarray) -> np.ndarray:
-    """The channels in which something is left that may be far from zero: it shows, at
-    half way to what counts as above the noise.
-    """
-    rms = state.problem.rms(state.problem.errors_at(state.point.values))
-    return np.isfinite(noise) & (rms > (1 + state.criteria.at_noise) / 2 * noise)
 
 
 def _accounted(state: Tracing, scores: Mapping[str, Score], noise: np.ndarray) -> bool:
