@@ -155,7 +155,8 @@ def with_command_between(
     """
     own, noise = problem.criteria, np.asarray(problem.batch.noise)
     seen = np.isfinite(noise) & PRESSURES
-    if case.fit.driven_by != "u" or any(f.input == "u" for f in found):
+    known = any(f.input == "u" and f.finding == "delay" for f in found)
+    if case.fit.driven_by != "u" or known:
         return found
     rms = problem.rms(problem.errors_at(point.values))
     if not np.any((rms > own.at_noise * noise)[seen]):

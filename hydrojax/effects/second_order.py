@@ -13,7 +13,8 @@ def free_motion(
     zeta: Float[Array, "*batch"], s: Float[Array, "*batch"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """`e^(-zeta s) cos(w s)` and `e^(-zeta s) sin(w s) / w` with `w^2 = 1 - zeta^2`, of
-    `y'' + 2 zeta y' + y = 0` after a time `s`; hyperbolic where `zeta` is above 1.
+    `y'' + 2 zeta y' + y = 0` after a time `s`, times the natural frequency (1);
+    hyperbolic where the damping ratio `zeta` (1) is above 1.
     """
     d = 1 - zeta**2
     near, over = jnp.abs(d) < NEAR, d < 0

@@ -177,7 +177,7 @@ def _log_of(file: File, channels: Mapping[str, Channel], shortest: float) -> Log
             f"{path}: [channels] time.delay: the time is not late to itself; give the "
             "delay to the channels that are"
         )
-    shortest += max(map(abs, late.values()), default=0.0)
+    shortest += max((0.0, *late.values())) - min((0.0, *late.values()))
     segments, cuts = segments_of(time, arrays, shortest)
     if not segments and time[-1] - time[0] < shortest:
         raise InputError(

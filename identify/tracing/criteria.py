@@ -254,8 +254,9 @@ class Criteria:
     """Share of a channel's noise that the noise of what drives must bring to be
     smoothed, 1: it adds 4 % to that noise. `benchmarks.trace`."""
     position_draws: int = 3
-    """Times that the position's noise is drawn for what it brings: the largest counts.
-    A single one may be a sixth short (`benchmarks.blind`)."""
+    """Times that the position's noise is drawn for what it brings, of which the largest
+    counts: of one it hangs on few windows. A choice; `benchmarks.blind` has rigs whose
+    noise one draw undercounts."""
     distorted: float = 4.0
     """Ratio by which a rig as declared may answer the position's noise more strongly
     than the fitted one, 1: either may be wrong. `benchmarks.trace`."""

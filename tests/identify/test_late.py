@@ -105,9 +105,7 @@ def test_what_a_model_lacks_is_not_a_late_position(seed, tmp_path):
 
 @pytest.mark.slow
 def test_a_command_that_runs_on_between_rows_is_seen(tmp_path):
-    """An operator's, at 250 Hz, of a valve that is declared to act at once; under the
-    true parameters pressures are off by 150 kPa in some windows with it held.
-    """
+    """An operator's, at 250 Hz, of a valve that is declared to act at once."""
     pytest.importorskip("numba")
     from benchmarks.blind.machines.make import make_case
 

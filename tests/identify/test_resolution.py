@@ -19,10 +19,12 @@ from scipy import signal
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation.fit import FitPoint
+from hydrojax.identify.preparation.data import prepare_logs
 from hydrojax.identify.preparation.noise import SensorNoise, sensor_noise_of
 from hydrojax.identify.preparation.resolution import _largest
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log, brought_forward
+from hydrojax.rigfile.schema import RigFile
 from tests import generator
 
 TIME = np.arange(12_000) * 1e-3
@@ -198,6 +200,24 @@ def test_windows_that_run_wild_do_not_make_the_noise():
     assert np.all(_largest(change, log, every) < 1.15 * calm)
     change[::5] *= 100  # but one in five is no exception
     assert np.all(_largest(change, log, every) > 10 * calm)
+
+
+def test_windows_are_placed_by_another_position_if_one_is_given(recorded):
+    """A rig that stands for 1.1 s, and a reading beyond 1 % of its travel then."""
+    folder = recorded(1)
+    spec = RigFile.load(folder / "rig.toml")
+    log = Log.load(folder / "fit_1.csv")
+    psi, late = log.signals["psi"].copy(), int(np.searchsorted(log.time, 1.15))
+    psi[:late] = psi[late]
+    still = replace(log, signals=log.signals | {"psi": psi})
+    psi = psi.copy()
+    psi[late - 40] += 0.02 * np.ptp(psi)
+    read = replace(log, signals=log.signals | {"psi": psi})
+    one, own = prepare_logs([still], spec), prepare_logs([read], spec)
+    placed = prepare_logs([read], spec, placed=[still])
+    assert not np.array_equal(own.windows.t[0], one.windows.t[0])
+    assert np.array_equal(placed.windows.t, one.windows.t)
+    assert not np.array_equal(placed.motion.dx, one.motion.dx)
 
 
 @pytest.mark.slow

@@ -574,6 +574,17 @@ def test_a_late_column_is_brought_forward_in_each_stretch(tmp_path):
     np.testing.assert_allclose(log.signals["u"], 3.0 * np.sin(9.0 * log.time))
 
 
+def test_an_early_column_shows_nothing_where_a_stretch_begins(tmp_path):
+    """Beside a late one both ends are cut."""
+    path = write(tmp_path / "log.csv", a_run(4000))
+    given = {"psi": "-20 ms", "P_a1": "5 ms"}
+    log = Log.load(path, {n: Channel(column=n, delay=d) for n, d in given.items()})
+    ((start, stop),) = log.segments
+    assert (start, stop) == (20, 3995)
+    wave = np.radians(20.0) * np.sin(9.0 * (log.time - 0.02))
+    np.testing.assert_allclose(log.signals["psi"][20:], wave[20:], atol=1e-9)
+
+
 def test_the_time_is_not_late(tmp_path):
     channels = {"time": Channel(column="time", delay="5 ms")}
     refusal(write(tmp_path / "log.csv", a_run()), "time.delay", channels=channels)

@@ -234,13 +234,16 @@ def plan(rng, machine, kind):
     return -machine.plant["u_full"] * v / machine.speed, x
 
 
+def loaded(plant, weight):
+    """The plant's parameters with `weight` times its load."""
+    return plant | {name: plant[name] * weight for name in ("W", "mass")}
+
+
 def simulate(machine, command, x_ref, operator_on, step_rate=STEP_RATE, weight=1.0):
     """One run of the machine: record, motion and command. weight scales the payload of
     this run.
     """
-    values = dict(machine.plant)
-    values["W"] *= weight
-    values["mass"] *= weight
+    values = loaded(machine.plant, weight)
     overlap = max(0.0, 0.25 * sum(values[k] for k in ("o_p1", "o_n1", "o_p2", "o_n2")))
     operator = np.array(
         [
@@ -273,11 +276,8 @@ def replay(plant, machine, command, motion, restart, weight=1.0, step_rate=STEP_
     """The record with the motion and P_s imposed and the pressures set to restart's
     rows every 0.25 s.
     """
-    values = dict(plant)
-    values["W"] *= weight
-    values["mass"] *= weight
     return run(
-        parameters(**values),
+        parameters(**loaded(plant, weight)),
         command,
         float(machine.rate),
         step_rate // machine.rate,
