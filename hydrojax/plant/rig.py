@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -284,7 +285,7 @@ class Rig(eqx.Module):
 
     def films(
         self, speed: Float[Array, "*batch"] | Float[Array, "*batch films"]
-    ) -> tuple[Float[Array, "*batch"], dict[str, Float[Array, "*batch"]]]:
+    ) -> tuple[Float[Array, "*batch"], dict[str, Any]]:
         """The filtered speed, and what `Sliding` says of the films' lag.
 
         `speed` as in `State`.
