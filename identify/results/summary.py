@@ -73,6 +73,8 @@ def summarise(
     left = _left(case, state, after, errors[1], signals, seen)
     in_windows = bool(left)
     left = left or _left_beyond(case, state, uncertainty, channels, ends)
+    if not left:  # of an error above the noise nobody knows what is missing
+        uncertainty = with_omitted(uncertainty, state)
     found = named_effects(case, state, uncertainty, (errors[0], errors[1]))
     tolerated = {e.name: own for e in found if (own := within_tolerance(e, case.spec))}
     effects = tuple(e for e in found if e.name not in tolerated)

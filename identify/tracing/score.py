@@ -68,14 +68,19 @@ class Projection:
     ):
         total = gram.sum(axis=0)
         total[np.arange(prior.size), np.arange(prior.size)] += prior**2
+        self.gram, self.total, self.prior = gram, total, prior
+        self.fitted = list(fitted)
         A = total[np.ix_(fitted, fitted)]
         size = np.sqrt(np.maximum(np.diag(A), 1e-300))
         # Scaled first: parameters that no column distinguishes share what they can.
         inverse = np.linalg.pinv(A / np.outer(size, size), rcond=1e-12, hermitian=True)
-        self.through = inverse / np.outer(size, size) @ total[fitted]
-        self.gram, self.fitted, self.total = gram, list(fitted), total
+        self.through = inverse / np.outer(size, size) @ total[self.fitted]
         r = total.shape[0] - 1
         self.left = float(self.curvature([r], [r])[0, 0])
+
+    def beside(self, columns: Sequence[int]) -> Projection:
+        """The same with more columns fitted, after those that are."""
+        return Projection(self.gram, [*self.fitted, *columns], self.prior)
 
     def curvature(self, a: Sequence[int], b: Sequence[int]) -> Float[np.ndarray, "a b"]:
         """Products of the projected columns `a` and `b`."""

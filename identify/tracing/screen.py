@@ -33,7 +33,6 @@ def scores_of(
     state: Tracing, effects: Mapping[str, Effect], noise: Float[np.ndarray, "3"]
 ) -> dict[str, Score]:
     """Every candidate's score at the present fit, each at its best shape."""
-    problem = state.problem
     weights = np.where(np.isfinite(noise), state.point.weights, np.inf)
     matters = size_that_matters(state, noise)
     grids = [
@@ -48,25 +47,10 @@ def scores_of(
     for g in reversed(range(max([1, *grids]))):
         values, shapes = _shaped(state, effects, g)
         here = effects if g == 0 else {n: effects[n] for n in shapes}
-        along = (*state.free, *(n for e in here.values() for n in strengths(e)))
-        # Another program than the fit's takes longer to compile than it saves.
-        if problem.fits_alike(values, along, state.free):
-            names, sums = problem.sums_along(values, along, weights)
-        else:
-            names, sums = problem.model.names, problem.sums_at(values, weights)
-        free = [names.index(n) for n in state.free]
-        prior = _known(problem, names, state.free)
-        projection = Projection(np.array(sums.gram), free, prior)
+        names, projection = projected(state, here, values, weights)
         for name, effect in here.items():
-            columns = [names.index(n) for n in strengths(effect)]
-            ends = np.array(
-                [
-                    (s.lower / s.scale, s.upper / s.scale)
-                    for s in specs(effect).values()
-                    if s.strength
-                ]
-            )
-            s = score(projection, name, columns, ends, matters, state.criteria.level)
+            own = strength_columns(names, effect)
+            s = score(projection, name, *own, matters, state.criteria.level)
             if name not in best or s.gain >= best[name].gain:
                 best[name] = replace(s, shape=shapes.get(name, {}))
     for name, (gain, starts) in from_afar(state, best, effects, noise).items():
@@ -74,6 +58,41 @@ def scores_of(
         gain = max(gain, best[name].gain)
         best[name] = replace(best[name], gain=gain, starts=starts, far=far)
     return best
+
+
+def projected(
+    state: Tracing,
+    effects: Mapping[str, Effect],
+    values: Float[np.ndarray, "n"],
+    weights: Float[np.ndarray, "3"],
+) -> tuple[Sequence[str | None], Projection]:
+    """The sums at `values` with the effects' columns beside the fitted ones, which are
+    projected out, and what each column stands for.
+    """
+    problem = state.problem
+    along = (*state.free, *(n for e in effects.values() for n in strengths(e)))
+    # Another program than the fit's takes longer to compile than it saves.
+    if problem.fits_alike(values, along, state.free):
+        names, sums = problem.sums_along(values, along, weights)
+    else:
+        names, sums = problem.model.names, problem.sums_at(values, weights)
+    free = [names.index(n) for n in state.free]
+    prior = _known(problem, names, state.free)
+    return names, Projection(np.array(sums.gram), free, prior)
+
+
+def strength_columns(
+    names: Sequence[str | None], effect: Effect
+) -> tuple[list[int], Float[np.ndarray, "columns 2"]]:
+    """The columns of an effect's strengths, and the ends of their ranges in units of
+    these.
+    """
+    ends = [
+        (s.lower / s.scale, s.upper / s.scale)
+        for s in specs(effect).values()
+        if s.strength
+    ]
+    return [names.index(n) for n in strengths(effect)], np.array(ends)
 
 
 def _known(
