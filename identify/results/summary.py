@@ -11,6 +11,7 @@ import numpy as np
 from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import FitPoint
+from hydrojax.identify.inference.omitted import with_omitted
 from hydrojax.identify.inference.uncertainty import Uncertainty, is_whole
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.horizons import beyond_windows, horizons_of
