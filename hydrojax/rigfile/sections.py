@@ -334,6 +334,11 @@ def entry(given: Given, command: str) -> Entry:
             f"{given.where} range {list(given.range)} goes below 0, where no rig is; "
             "begin it at 0 or above"
         )
+    if given.spec.whole and upper > given.spec.upper:
+        raise InputError(
+            f"{given.where} range {list(given.range)} goes above {given.spec.upper:g}, "
+            "which is all there can be of a share; end it there"
+        )
     return Entry(start, (lower, upper), unit)
 
 
@@ -351,8 +356,8 @@ def check_possible(given: Given, value: float, unit: str) -> None:
         unit: that.
 
     Raises:
-        InputError: it is below 0, or 0, where its declaration is not; or further
-            beyond it than `FAR` times.
+        InputError: it is below 0, or 0, where its declaration is not; above 1 where
+            it is a share; or further beyond its declaration than `FAR` times.
     """
     spec = given.spec
     known = f"usually {spec.lower:g} to {spec.upper:g} {unit}".removesuffix(" 1")
@@ -362,6 +367,11 @@ def check_possible(given: Given, value: float, unit: str) -> None:
         raise InputError(
             f"{given.where}: {given.start!r} is not above 0, where every rig is "
             f"({known}); give another"
+        )
+    if spec.whole and value > spec.upper:
+        raise InputError(
+            f"{given.where}: {given.start!r} is above {spec.upper:g}, which is all there "
+            "can be of a share; give a smaller one"
         )
     most = FAR * max(abs(spec.lower), abs(spec.upper))
     if abs(value) > most or abs(value) < spec.lower / FAR:

@@ -51,6 +51,23 @@ def test_so_is_that_of_an_effect(text):
 
 
 @pytest.mark.parametrize(
+    ("share", "says"),
+    [
+        ('"2"', "'2' is above 1, which is all there can be of a share"),
+        ('{ start = "0.5", range = ["0", "3"] }', r"goes above 1"),
+        ('"1"', None),
+    ],
+)
+def test_a_share_above_all_there_can_be_is_refused(share, says):
+    more = f'[effects.viscous_friction]\nb = "300 N*s/m"\ns = {share}'
+    if says is None:
+        assert rig(more=more).effects["viscous_friction"]["s"].start == 1.0
+    else:
+        with pytest.raises(InputError, match=says):
+            rig(more=more)
+
+
+@pytest.mark.parametrize(
     "line",
     ['c_p1 = "1.2e-5 m^3/(s*V*Pa^0.5)"', 'z_ss = "0.03 m"', 'k_vn = "-2e3 N*s/m"'],
 )
