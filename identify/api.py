@@ -39,6 +39,7 @@ from hydrojax.identify.late import (
 )
 from hydrojax.identify.longer import with_long_runs
 from hydrojax.identify.motion.predict import check_drive, predict_motion
+from hydrojax.identify.one_log import with_filter_of_one_log
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.sentence import motion_sentence
@@ -209,7 +210,11 @@ def trace_case(
             other = traced(*mended_case(given, later))
             if simpler_and_no_worse(state, other[3]):
                 case, found, point, state = other
+        one, said_of_it = with_filter_of_one_log(case, state, progress)
+        if one is not case:
+            case, found, point, state = traced(one, found)
     outcome = _outcome("trace", case, state, point, progress, profile)
+    outcome = replace(outcome, limits=(*said_of_it, *outcome.limits))
 
     def said(outcome: Outcome) -> Outcome:
         return with_inputs(_timed(outcome, began, compiled), found)

@@ -171,6 +171,7 @@ def log_batch(
         P_a2=table[index, 2],
         dP=_derivatives(table[:, 1:3], setup.h)[index],
         measured=jnp.zeros((len(first), WINDOW, 3)),
+        filtered=jnp.ones(len(first)),
     )
     dx = jnp.diff(path(quarters, 0), axis=1)[None]
     v = path(t, 1)[None]

@@ -173,6 +173,7 @@ def make_drive(substeps: int = 1, jitter: float = 0.0, seed: int = 0) -> Drive:
         P_a2=rng.uniform(5e6, 7e6, (len(cuts), n)),
         dP=rng.uniform(-1, 1, (len(cuts), n, 3, 2)) * np.array([1e7, 1e9]),
         measured=np.zeros((len(cuts), SCORED, 3)),
+        filtered=np.ones(len(cuts)),
     )
     P_0 = rng.uniform(6e6, 8e6, (len(cuts), 2))
     return Drive(motion, windows, P_0, waves)

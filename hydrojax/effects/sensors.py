@@ -140,10 +140,11 @@ class PressureSensorLag(_Lag):
 
 
 class SignalFilter(SensorChannel):
-    """Second-order low-pass of every logged pressure: the logger's, not the rig's.
+    """Second-order low-pass of every logged pressure: the logger's, not the rig's; in
+    all logs, or in those that the key `logs` of a rig file names.
 
-    P_s is one of them: what stood ahead of the filter is had from the reading's own
-    first two derivatives. A supply that is logged unfiltered is distorted by that.
+    P_s may be one of them, by the share `s`: what stood ahead of the filter is had from
+    the reading's own first two derivatives.
 
     Exact for a signal that is linear over each tick. Stored as `tau = 1/omega` so that
     absent is 0.
@@ -152,7 +153,7 @@ class SignalFilter(SensorChannel):
     of_the_logger = True
     name = "signal_filter"
     place = "sensor_P"
-    needs = ("u", "P_a1", "P_a2", "differential")
+    needs = ("u", "P_a1", "P_a2")
     residual_axis = "P_rate"
     tau: Float[Array, ""] = param(
         "s",
@@ -169,6 +170,12 @@ class SignalFilter(SensorChannel):
     zeta: Float[Array, ""] = param(
         "1", 0.7, 0.3, 3.0, "filter's damping ratio", prior=0.2
     )
+    s: Float[Array, ""] = param(
+        "1", 1.0, 0.0, 1.0, "whether P_s passed it too: 1, or 0", prior=0.5, whole=True
+    )
+
+    def of_supply(self):
+        return self.s
 
     def forgets(self):
         return self.tau <= 0

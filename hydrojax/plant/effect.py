@@ -394,6 +394,10 @@ class SensorChannel(Effect):
         """
         return y
 
+    def of_supply(self) -> Float[Array, ""] | float:
+        """The share of it that the reading of P_s passes."""
+        return 1.0
+
     def init(
         self, y: Float[Array, "*batch"], slope: Float[Array, "*batch"]
     ) -> tuple[Any, Float[Array, "*batch"], Float[Array, "*batch"]]:

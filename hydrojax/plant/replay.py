@@ -59,7 +59,8 @@ class Windows(NamedTuple):
     tick that follows, `F` that of `Motion`. `dP` [W, lead+T, 3, 2] are the first and
     second derivative of P_a1, P_a2 and P_s as they were logged, smoothed. `x_fine` is
     [W, lead+T-1, 2n+1], `measured` [W, T, 3] (P_a1, P_a2, F), `seg` and `first` say
-    where each window lies in its segment.
+    where each window lies in its segment. `filtered` is 1 where a filter of the logger
+    is on the window's log, if there is one, and 0 where that is of other logs.
     """
 
     seg: Int[Array, "windows"]
@@ -80,6 +81,7 @@ class Windows(NamedTuple):
     P_a2: Float[Array, "windows n"]
     dP: Float[Array, "windows n 3 2"]
     measured: Float[Array, "windows scored 3"]
+    filtered: Float[Array, "windows"]
 
     @property
     def scored(self) -> int:
@@ -325,7 +327,9 @@ def before_filters(rig: Rig, w: Windows) -> Windows:
     """
     logged = jnp.stack([w.P_a1, w.P_a2, w.P_s], axis=-1)
     for channel in rig.sensor_P:
-        logged = channel.ahead(logged, w.dP[..., 0], w.dP[..., 1])
+        ahead = channel.ahead(logged, w.dP[..., 0], w.dP[..., 1])
+        passed = jnp.stack([1.0, 1.0, channel.of_supply()])
+        logged = logged + w.filtered[:, None, None] * passed * (ahead - logged)
     P_a1, P_a2, P_s = jnp.moveaxis(logged, -1, 0)
     return w._replace(P_a1=P_a1, P_a2=P_a2, P_s=P_s, dP=jnp.zeros_like(w.dP))
 
@@ -445,7 +449,7 @@ def line_start(rig: Rig, w: Windows, opened: Opened) -> Lines | None:
 def _sense(
     channels: tuple,
     y: Float[Array, "windows n"],
-    h: Float[Array, "windows n"],
+    w: Windows,
     read: tuple[Float[Array, "windows"], Float[Array, "windows"]] | None = None,
 ) -> Float[Array, "windows n"]:
     """A sensor's reading of `y` [W, n] along its second axis.
@@ -453,10 +457,16 @@ def _sense(
     `read` is the first tick's where it is known, and its slope: what the last channel
     has kept of what came before stands in them.
     """
-    slope = (y[:, 1] - y[:, 0]) / h[:, 0]
+    slope = (y[:, 1] - y[:, 0]) / w.h[:, 0]
     for i, channel in enumerate(channels, 1):
         known = read if i == len(channels) else None
-        y, slope = channel.run(y, slope, h[:, :-1], known)
+        ahead = y, slope
+        y, slope = channel.run(y, slope, w.h[:, :-1], known)
+        if channel.of_the_logger:
+            y, slope = (
+                jnp.where((w.filtered > 0).reshape(-1, *[1] * (a.ndim - 1)), a, b)
+                for a, b in zip((y, slope), ahead, strict=True)
+            )
     return y
 
 
@@ -491,9 +501,9 @@ def sensed(
     """What the sensors read of signals [W, lead+T], [W, T, 3]; linear in them."""
     lead = w.x.shape[1] - w.scored
     y = [
-        _sense(rig.gauge(0), P_a1, w.h, (w.P_a1[:, 0], w.dP[:, 0, 0, 0])),
-        _sense(rig.gauge(1), P_a2, w.h, (w.P_a2[:, 0], w.dP[:, 0, 1, 0])),
-        _sense(rig.sensor_F, F, w.h),
+        _sense(rig.gauge(0), P_a1, w, (w.P_a1[:, 0], w.dP[:, 0, 0, 0])),
+        _sense(rig.gauge(1), P_a2, w, (w.P_a2[:, 0], w.dP[:, 0, 1, 0])),
+        _sense(rig.sensor_F, F, w),
     ]
     return jnp.stack([c[:, lead:] for c in y], axis=-1)
 

@@ -13,7 +13,7 @@ from hydrojax.effects import EFFECTS
 from hydrojax.effects.fluid import PressureCompensation
 from hydrojax.parameters import Spec, specs
 from hydrojax.rigfile.plain import text
-from hydrojax.rigfile.schema import RigFile
+from hydrojax.rigfile.schema import LOGS, RigFile
 from hydrojax.rigfile.sections import LOAD_PARAMETERS, Entry
 from hydrojax.rigfile.valve import MARGIN
 
@@ -47,7 +47,7 @@ def rewrite(
         document["name"] = name
     for section, fields, known in _tables(document, spec):
         prefix = f"{section}." if section else ""
-        for key in list(fields):
+        for key in (k for k in list(fields) if k != LOGS):
             field, turned = _field(key, known)
             old = (spec.effects[section] if section else spec.parameters)[field]
             value = values.get(prefix + field, old.start)
@@ -68,6 +68,8 @@ def rewrite(
         effects = document.setdefault("effects", tomlkit.table(is_super_table=True))
         for effect in added:
             effects[effect] = _effect(effect, values, spec.command_unit)
+            if spec.filtered and getattr(EFFECTS[effect], "of_the_logger", False):
+                effects[effect][LOGS] = list(spec.filtered)
     laid = [EFFECTS[e].__dataclass_fields__ for e in (*spec.effects, *added)]
     if "x_from" in spec.geometry and any("x_from" in fields for fields in laid):
         geometry = document.setdefault("geometry", tomlkit.table())

@@ -13,6 +13,7 @@ from hydrojax.plant.layout import LAYOUTS
 from hydrojax.rigfile import valve
 from hydrojax.rigfile.controller import KEYS, KIND, KINDS, written_unit
 from hydrojax.rigfile.other_controllers import OTHERS
+from hydrojax.rigfile.schema import LOGS
 from hydrojax.rigfile.sections import (
     GEOMETRY,
     LOAD,
@@ -102,6 +103,12 @@ def rig_schema() -> dict[str, Any]:
         | {"description": EFFECTS[name].__doc__ or ""}
         for name, known in effect_specs().items()
     }
+    for name, effect in effects.items():
+        if getattr(EFFECTS[name], "of_the_logger", False):
+            effect["properties"][LOGS] = {
+                "type": "array", "items": {"type": "string"}, "minItems": 1,
+                "description": "names of the logs that it is in; all without it",
+            }  # fmt: skip
     # Effects of a user's own are known to hydrojax, not to this schema.
     sections["effects"] |= object_schema(effects)
     sections["effects"]["additionalProperties"] = {"type": "object"}

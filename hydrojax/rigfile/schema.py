@@ -11,6 +11,7 @@ from typing import Any
 
 from hydrojax import units
 from hydrojax.control.base import AbstractController
+from hydrojax.effects import EFFECTS
 from hydrojax.errors import TEXT, WORD, InputError, check_known, file_text, one_line
 from hydrojax.logs.tables import SIGNALS, Channel
 from hydrojax.parameters import Spec
@@ -37,6 +38,9 @@ from hydrojax.rigfile.sections import (
     section_values,
     unit_of_command,
 )
+
+PART = ", "
+"""Stands between a log's name and which part of it a log is."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,8 @@ class RigFile:
         path: the file; what opens the line of an error.
         tolerances: standard deviations with which geometry and supply are known, by
             key, SI; those of parameters are in their entries.
+        filtered: names of the logs that passed the logger's filter, where there is one
+            (`signal_filter`); all of them where none is named.
         table: how far the edges open at each command, where [valve] has a table; of a
             compensated valve there is `pressure_compensation` among the effects.
         text: the TOML that all of this was read from.
@@ -91,6 +97,7 @@ class RigFile:
     tolerances: dict[str, float] = field(default_factory=dict)
     predicts: str = ""
     load_ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
+    filtered: tuple[str, ...] = ()
     table: valves.Table | None = None
     text: str = field(default="", repr=False, compare=False)
 
@@ -216,6 +223,13 @@ class RigFile:
         """What [parameters] may hold: the base model's parameters, by name."""
         return base_specs(self.valve if self.layout.has_valve else NoValve())
 
+    def passes_filter(self, log: str) -> bool:
+        """Whether a log passed the logger's filter, if there is one: by its name, that
+        of a part of it being the log's, a comma, and which part it is.
+        """
+        own = {log, log.rpartition(PART)[0]}
+        return not self.filtered or bool(own & set(self.filtered))
+
     @property
     def line(self) -> dict[str, float]:
         """P_s and P_r, Pa: the file's, or `SUPPLY` where it has none."""
@@ -256,10 +270,11 @@ def read_rig(
     check_known(f"{path}: [channels]", file.channels, SIGNALS, "signal")
     check_known(f"{path}: [effects]", file.effects, effects, "effect")
     layout = LAYOUTS[file.layout]
+    filtered, tables = _filtered(path, file.effects)
     base = _base(f"{path}: [parameters]", file.parameters, parameters, layout)
     added = {
         name: givens(f"{path}: [effects.{name}]", table, effects[name])
-        for name, table in file.effects.items()
+        for name, table in tables.items()
     }
     kind = valves.check_valve(path, file.valve, layout)
     if kind == "compensated":
@@ -287,11 +302,44 @@ def read_rig(
         tolerances=own | also,
         predicts=file.load.get("predicts", ""),
         load_ranges=load_ranges,
+        filtered=filtered,
         table=valves.table_of(path, file.valve, command) if kind == "table" else None,
         text=text,
     )
     _check(spec)
     return spec
+
+
+LOGS = "logs"
+"""Key of an effect of the logger's: the logs that it is in."""
+
+
+def _filtered(
+    path: str, effects: Mapping[str, Mapping[str, Any]]
+) -> tuple[tuple[str, ...], dict[str, dict[str, Any]]]:
+    """The logs that the logger's effects are in, and the tables without them.
+
+    Raises:
+        InputError: no list of names.
+    """
+    names: tuple[str, ...] = ()
+    tables = {name: dict(table) for name, table in effects.items()}
+    for name, table in tables.items():
+        if LOGS not in table or not getattr(EFFECTS[name], "of_the_logger", False):
+            continue
+        given = table.pop(LOGS)
+        found = (
+            [n for n in given if n and isinstance(n, str)]
+            if isinstance(given, list)
+            else []
+        )
+        if not found or len(found) < len(given):
+            raise InputError(
+                f"{path}: [effects.{name}] {LOGS} is no list of logs' names; write "
+                f'{LOGS} = ["log_1.csv"], or delete the line if it is in all of them'
+            )
+        names += tuple(found)
+    return names, tables
 
 
 def _base(

@@ -370,8 +370,8 @@ def check_possible(given: Given, value: float, unit: str) -> None:
         )
     if spec.whole and value > spec.upper:
         raise InputError(
-            f"{given.where}: {given.start!r} is above {spec.upper:g}, which is all there "
-            "can be of a share; give a smaller one"
+            f"{given.where}: {given.start!r} is above {spec.upper:g}, which is all "
+            "there can be of a share; give a smaller one"
         )
     most = FAR * max(abs(spec.lower), abs(spec.upper))
     if abs(value) > most or abs(value) < spec.lower / FAR:

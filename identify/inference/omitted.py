@@ -41,8 +41,8 @@ def with_omitted(uncertainty: Uncertainty, state: Tracing) -> Uncertainty:
     bent = np.abs(by) > before[:, None]
     limits = list(uncertainty.limits)
     if np.any(bent):
-        effects = [n for n, some in zip(moved, bent.any(axis=0), strict=True) if some]
-        own = [n for n, some in zip(inside, bent.any(axis=1), strict=True) if some]
+        effects = [n for i, n in enumerate(moved) if bent[:, i].any()]
+        own = [n for i, n in enumerate(inside) if bent[i].any()]
         limits.append(_said(effects, own))
     return replace(
         uncertainty,
@@ -93,8 +93,13 @@ def _moves(state: Tracing) -> dict[str, np.ndarray]:
 def _said(effects: list[str], names: list[str]) -> str:
     one = len(effects) == 1
     return (
-        f"{' and '.join(effects)} {'shows' if one else 'show'} in these logs beyond "
+        f"{_listed(effects)} {'shows' if one else 'show'} in these logs beyond "
         "chance, by too little to matter for the errors: what "
-        f"{'it' if one else 'each'} would move {', '.join(names)} by is more than "
+        f"{'it' if one else 'each'} would move {_listed(names)} by is more than "
         "their own standard deviation, and is counted into the intervals"
     )
+
+
+def _listed(names: list[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last

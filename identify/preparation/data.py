@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -106,12 +107,14 @@ def prepare_logs(
     windows, P_0 = cut(segments, cuts, size.T, size.ahead, size.lead, size.substeps)
     if noise is None:
         noise = channel_noise(logs, spec, driven_by)
+    log = np.array([segments[k].log for k, _ in cuts])
+    filtered = np.array([spec.passes_filter(one.name) for one in logs], float)
     own = [f"{log.name}: {note}" for log in logs for note in log.notes]
     return Data(
         motion=motion(segments, h),
-        windows=windows,
+        windows=windows._replace(filtered=jnp.asarray(filtered[log])),
         P_0=P_0,
-        log=np.array([segments[k].log for k, _ in cuts]),
+        log=log,
         noise=noise,
         supply_noise=supply_noise_of(logs, spec),
         driven_by=driven_by,

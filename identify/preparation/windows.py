@@ -180,6 +180,7 @@ def cut(
             "P_a2": s.P[at, 1],
             "dP": s.dP[at],
             "measured": np.column_stack([s.P[at], s.F[at]])[lead:],
+            "filtered": 1.0,
         }
         for name, value in row.items():
             columns[name].append(value)

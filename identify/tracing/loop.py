@@ -28,6 +28,7 @@ from hydrojax.identify.tracing.rivals import (
     exchanged,
     pruned,
     shed,
+    unspoilt,
     with_look_alikes,
     without,
 )
@@ -54,6 +55,8 @@ def search_effects(state: Tracing) -> Tracing:
         problem, point = fit_force(state.problem, state.point.values, state.free)
         state = replace(state, problem=problem, point=point)
         state = _stage(state, state.effects, state.noise)
+        if state.problem.sees_pressures:
+            state = unspoilt(state)
     # An effect may have been kept by a fit that had not converged: all are questioned.
     return with_look_alikes(pruned(shed(state), state.noise, fresh=0))
 

@@ -13,12 +13,20 @@ from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.resolution import NoiseBy
 from hydrojax.identify.tracing.in_balances import near_in_balances
-from hydrojax.identify.tracing.judge import chance, judge, may_rise, negligible, worse
+from hydrojax.identify.tracing.judge import (
+    better,
+    chance,
+    judge,
+    may_rise,
+    negligible,
+    worse,
+)
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
 from hydrojax.identify.tracing.state import Tracing, free_names, strengths
 from hydrojax.plant.effect import Effect
+from hydrojax.plant.places import place_of
 
 
 def pruned(state: Tracing, noise: Float[np.ndarray, "3"], fresh: int = 1) -> Tracing:
@@ -50,6 +58,27 @@ def shed(state: Tracing) -> Tracing:
             state.progress(f"let go of {name}")
             less = _taken_out(state, name)
             state = replace(less, tried={**less.tried, name: "too small"})
+    return state
+
+
+def unspoilt(state: Tracing) -> Tracing:
+    """The state without effects on the pressures by which the force is further off than
+    the pressures come nearer, where something is left in both: they were found before
+    the force was looked at, and what they take from one they bring into the other.
+    """
+    noise, own = state.noise, state.criteria
+    for name in [a.name for a in reversed(state.added)]:
+        above = _rms(state) > own.at_noise * noise
+        if not (above[2] and np.any(above[:2])):
+            break
+        if not place_of(state.effects[name]).shows_in_pressures:
+            continue
+        less = without(state, name, noise)
+        errors = [s.check.errors_at(s.point.values) for s in (less, state)]
+        if better(*errors, noise, own.beyond_chance):
+            state.progress(f"let go of {name}")
+            spoils = {name: "spoils another channel"}
+            state = replace(less, tried={**less.tried, **spoils})
     return state
 
 

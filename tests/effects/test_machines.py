@@ -404,7 +404,13 @@ def test_windows_begin_ahead_of_what_filtered_them():
     at = np.arange(200, 2900, 31)[:, None] + np.arange(30)
     y, dy = jnp.asarray(read[at]), jnp.asarray(both[at])
     empty = Windows(*[None] * len(Windows._fields))
-    w = empty._replace(P_a1=y, P_a2=2 * y, P_s=y, dP=jnp.stack([dy, 2 * dy, dy], 2))
+    w = empty._replace(
+        P_a1=y,
+        P_a2=2 * y,
+        P_s=y,
+        dP=jnp.stack([dy, 2 * dy, dy], 2),
+        filtered=jnp.ones(len(y)),
+    )
     rig = SimpleNamespace(sensor_P=(EFFECTS["signal_filter"](tau=1 / 25, zeta=0.8),))
     shown = jnp.stack([y[:, 0], 2 * y[:, 0]], axis=1)
 

@@ -92,7 +92,7 @@ def test_an_omitted_effect_that_parameters_follow_is_in_their_intervals():
     assert np.max(wide[:, 1]) < 2
     assert np.max(wide[:, 0]) < 40  # what it moves a by, and no more
     assert all("loadcell_gain shows in these logs" in n for n in names)
-    assert all("would move a by" in n for n in names)
+    assert all("would move a by is" in n for n in names)
 
 
 def test_where_nothing_is_omitted_intervals_stay():
