@@ -128,17 +128,17 @@ def test_a_filter_in_one_log_is_found(name, folder, tmp_path):
     logs[name] = replace(own, signals=own.signals | P)
     rig = hj.RigFile.load(folder / "rig.toml")
     found = hj.trace(rig, [logs["fit_1"], logs["fit_2"]], validate=[logs["validate"]])
-    assert found.verdict == "explained", found.sentence
+    assert found.verdict == "explained", found.summary()
     (effect,) = found.effects
     assert effect.name == "signal_filter"
     for field, truth in (("omega", OMEGA), ("zeta", ZETA)):
         p = effect.parameters[field]
         assert abs(p.value - truth) < 4 * p.std
-    assert any(f"{name}.csv passed a low-pass filter" in line for line in found.limits)
+    assert effect.parameters["s"].value == pytest.approx(0.0, abs=0.1)
+    (said, *_) = found.outcome.limits
+    assert said.startswith(f"the pressures of {name}.csv passed a low-pass filter")
     assert found.rig.filtered == (f"{name}.csv",)
     truth = generator.draw_rig(3)
     for parameter in ("c_p1", "beta"):
-        p = found.parameters[parameter]
+        p = found.outcome.parameters[parameter]
         assert abs(p.value - truth[parameter]) < 4 * p.std
-    left = found.predict(logs["fit_1"])
-    print(left)
