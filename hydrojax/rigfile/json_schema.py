@@ -98,17 +98,18 @@ def rig_schema() -> dict[str, Any]:
     channel = Channel.model_json_schema() | {"description": "the signal's column"}
     sections["channels"] |= object_schema(dict.fromkeys(SIGNALS, channel))
     sections["parameters"] |= object_schema(parameters(base_specs()))
+    logs = {
+        "type": "array", "items": {"type": "string"}, "minItems": 1,
+        "description": "names of the logs that it is in; all without it",
+    }  # fmt: skip
     effects = {
-        name: object_schema(parameters(known))
+        name: object_schema(
+            parameters(known)
+            | ({LOGS: logs} if getattr(EFFECTS[name], "of_the_logger", False) else {})
+        )
         | {"description": EFFECTS[name].__doc__ or ""}
         for name, known in effect_specs().items()
     }
-    for name, effect in effects.items():
-        if getattr(EFFECTS[name], "of_the_logger", False):
-            effect["properties"][LOGS] = {
-                "type": "array", "items": {"type": "string"}, "minItems": 1,
-                "description": "names of the logs that it is in; all without it",
-            }  # fmt: skip
     # Effects of a user's own are known to hydrojax, not to this schema.
     sections["effects"] |= object_schema(effects)
     sections["effects"]["additionalProperties"] = {"type": "object"}

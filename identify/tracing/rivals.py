@@ -74,8 +74,8 @@ def unspoilt(state: Tracing) -> Tracing:
         if not place_of(state.effects[name]).shows_in_pressures:
             continue
         less = without(state, name, noise)
-        errors = [s.check.errors_at(s.point.values) for s in (less, state)]
-        if better(*errors, noise, own.beyond_chance):
+        bare, errors = (s.check.errors_at(s.point.values) for s in (less, state))
+        if better(bare, errors, noise, own.beyond_chance):
             state.progress(f"let go of {name}")
             spoils = {name: "spoils another channel"}
             state = replace(less, tried={**less.tried, **spoils})
