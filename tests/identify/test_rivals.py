@@ -308,3 +308,49 @@ def test_effects_that_are_added_together_keep_their_scores(opened, monkeypatch):
     out = loop._or_several(begun, found, begun.effects, pressures)
     assert [a.name for a in out.added] == [TRUE, WRONG]
     assert out.scores == scores
+
+
+class Errors:
+    """Stands for the validation logs, by a state's errors over its noise."""
+
+    def __init__(self, noise, off):
+        scatter = np.random.default_rng(0).normal(1.0, 0.05, (60, 3))
+        self.sse = (np.array(off) * noise * scatter) ** 2
+
+    def errors_at(self, values):
+        return self.sse
+
+    def rms(self, sse):
+        return np.sqrt(sse.mean(axis=0))
+
+
+@pytest.mark.parametrize(
+    ("own", "bare", "left"),
+    [
+        ((2.0, 2.0, 10.0), (4.0, 4.0, 7.0), []),
+        ((2.0, 2.0, 10.0), (8.0, 8.0, 9.0), [TRUE]),
+        ((1.0, 1.0, 10.0), (4.0, 4.0, 7.0), [TRUE]),  # the pressures are explained
+        ((2.0, 2.0, 1.0), (4.0, 4.0, 0.9), [TRUE]),  # the force is
+    ],
+)
+def test_what_brings_more_into_the_force_than_it_takes_from_the_pressures(
+    opened, monkeypatch, own, bare, left
+):
+    state = unfitted(opened, TRUE)
+    state = replace(state, check=Errors(state.noise, own))
+
+    def without(state, name, noise):
+        return replace(state, added=(), check=Errors(state.noise, bare))
+
+    monkeypatch.setattr(rivals, "without", without)
+    found = rivals.unspoilt(state)
+    assert names_of(found) == left
+    if not left:
+        assert found.tried == {TRUE: "spoils another channel"}
+
+
+def test_friction_is_not_asked_what_it_brings_into_the_force(opened, monkeypatch):
+    state = unfitted(opened, "stribeck")
+    state = replace(state, check=Errors(state.noise, (2.0, 2.0, 10.0)))
+    monkeypatch.setattr(rivals, "without", None)  # would be called
+    assert rivals.unspoilt(state) is state
