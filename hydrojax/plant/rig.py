@@ -237,7 +237,7 @@ class Rig(eqx.Module):
         at = at._replace(P_seal=self.seal_pressure(at.P_a1, at.P_a2))
         f_c = self.mechanics.sliding_force(at, self.level, self.friction)
         P = self.drive_force(at.P_a1, at.P_a2)
-        rest = sum(e.at_rest(at) for e in self.friction)
+        rest = sum((e.at_rest(at) for e in self.friction), start=0.0)
         F = self.mechanics.output_force(P, f_c, self.presliding(at.speed), rest)
         at = at._replace(F=F)
         F = F + sum(e.force(at) for e in self.force)

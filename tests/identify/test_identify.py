@@ -212,12 +212,14 @@ def pressure_driven(case: Path, folder: Path, keep: tuple[str, ...]) -> list[Pat
 
 @pytest.mark.slow
 def test_an_alias_is_reported_with_its_partners(recorded, tmp_path):
-    """b v and the two slopes of (3) are one and the same where phi = -1."""
+    """b v and the two slopes of (3) are one and the same where phi = -1 and all of b
+    fades as they do.
+    """
     *logs, check = pressure_driven(recorded(SEED), tmp_path, FRICTION)
     rig = tmp_path / "rig.toml"
     declared = (
         '[effects.viscous_friction]\nb = { start = "100 N*s/m", '
-        'range = ["-30000 N*s/m", "30000 N*s/m"] }\n'
+        'range = ["-30000 N*s/m", "30000 N*s/m"] }\ns = "0"\n'
     )
     rig.write_text(rig.read_text() + declared)
     outcome = api.identify(open_case(rig, logs, [check]), starts=1)
