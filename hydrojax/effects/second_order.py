@@ -10,7 +10,7 @@ NEAR = 1e-3
 
 
 def free_motion(
-    zeta: Float[Array, "*batch"], s: Float[Array, "*batch"]
+    zeta: Float[Array, ""], s: Float[Array, "*batch"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """`e^(-zeta s) cos(w s)` and `e^(-zeta s) sin(w s) / w` with `w^2 = 1 - zeta^2`, of
     `y'' + 2 zeta y' + y = 0` after a time `s`, times the natural frequency (1);

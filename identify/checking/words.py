@@ -389,7 +389,7 @@ def is_no_supply(own: pd.Series) -> bool:
 
     A sound one in another unit is as many times its noise as before.
     """
-    return max(-own.low, own.high) <= NO_SUPPLY * own.noise
+    return bool(max(-own.low, own.high) <= NO_SUPPLY * own.noise)
 
 
 def of_sensors(channels: pd.DataFrame, h: float) -> list[Finding]:

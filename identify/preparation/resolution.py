@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -78,6 +78,7 @@ SHAKEN = 0.1
 that only rounds says the same again at rest."""
 
 
+@runtime_checkable
 class Ready(Protocol):
     """What makes logs ready, as `prepare_logs` does."""
 
