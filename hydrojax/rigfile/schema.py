@@ -270,12 +270,8 @@ def read_rig(
     check_known(f"{path}: [channels]", file.channels, SIGNALS, "signal")
     check_known(f"{path}: [effects]", file.effects, effects, "effect")
     layout = LAYOUTS[file.layout]
-    filtered, tables = _filtered(path, file.effects)
+    filtered, added = _effects(path, file.effects, effects)
     base = _base(f"{path}: [parameters]", file.parameters, parameters, layout)
-    added = {
-        name: givens(f"{path}: [effects.{name}]", table, effects[name])
-        for name, table in tables.items()
-    }
     kind = valves.check_valve(path, file.valve, layout)
     if kind == "compensated":
         added |= valves.compensation(path, file.valve, file.effects)
@@ -314,13 +310,15 @@ LOGS = "logs"
 """Key of an effect of the logger's: the logs that it is in."""
 
 
-def _filtered(
-    path: str, effects: Mapping[str, Mapping[str, Any]]
-) -> tuple[tuple[str, ...], dict[str, dict[str, Any]]]:
-    """The logs that the logger's effects are in, and the tables without them.
+def _effects(
+    path: str,
+    effects: Mapping[str, Mapping[str, Any]],
+    known: Mapping[str, Mapping[str, Spec]],
+) -> tuple[tuple[str, ...], dict[str, list[Given]]]:
+    """The logs that the logger's effects are in, and what is given of every effect.
 
     Raises:
-        InputError: no list of names.
+        InputError: no list of names; or see `givens`.
     """
     names: tuple[str, ...] = ()
     tables = {name: dict(table) for name, table in effects.items()}
@@ -339,7 +337,10 @@ def _filtered(
                 f'{LOGS} = ["log_1.csv"], or delete the line if it is in all of them'
             )
         names += tuple(found)
-    return names, tables
+    return names, {
+        name: givens(f"{path}: [effects.{name}]", table, known[name])
+        for name, table in tables.items()
+    }
 
 
 def _base(
