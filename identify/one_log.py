@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from hydrojax.errors import InputError
 from hydrojax.identify.case import Case
 from hydrojax.identify.estimation.columns import batch_of, thinned
 from hydrojax.identify.estimation.fit import fit_pressures, in_short
@@ -70,7 +72,9 @@ def with_filter_of_one_log(
         others = tuple(_halves(log)[1] if log.name == best else log for log in others)
         said += ": its first half is fitted, and its second half validates"
     spec = replace(case.spec, filtered=(best,))
-    return case.again(spec, (fitted, others, test)), (said,)
+    with suppress(InputError):  # half of a short log may hold no window
+        return case.again(spec, (fitted, others, test)), (said,)
+    return case, ()
 
 
 def _may_be(case: Case, state: Tracing) -> bool:

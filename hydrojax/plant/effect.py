@@ -31,6 +31,8 @@ class Effect(eqx.Module):
     place: ClassVar[str]
     needs: ClassVar[tuple[str, ...]]
     residual_axis: ClassVar[str]
+    of_the_logger: ClassVar[bool] = False
+    """Whether it is in what the logger writes, behind all that a sensor does itself."""
 
 
 class CommandChannel(Effect):
@@ -378,9 +380,6 @@ class SensorChannel(Effect):
     counts_ticks: ClassVar[bool] = False
     """Whether its memory counts ticks, so that all must have one length."""
 
-    of_the_logger: ClassVar[bool] = False
-    """Whether it stands behind all that a sensor does itself."""
-
     def of_chamber(self, i: int) -> SensorChannel:
         """This channel as the gauge of chamber 1 (`i` = 0) or 2 (`i` = 1) has it."""
         return self
@@ -395,7 +394,7 @@ class SensorChannel(Effect):
         return y
 
     def of_supply(self) -> Float[Array, ""] | float:
-        """The share of it that the reading of P_s passes."""
+        """How much of it P_s passes as well: 1 for all of it, 0 for nothing."""
         return 1.0
 
     def init(

@@ -151,6 +151,8 @@ def build_loop(
 ) -> Loop:
     """The closed loop of a rig file.
 
+    A filter that the logger had on in some logs is not in it: no loop reads by that.
+
     Args:
         file: the rig.
         rig: the plant, if it is another than `build_rig(file)`; the paper's law knows
@@ -185,6 +187,9 @@ def build_loop(
         )
         law = with_gains(law, gains, file, where)
     rig = build_rig(file) if rig is None else rig
+    if file.filtered:
+        own = tuple(c for c in rig.sensor_P if not c.of_the_logger)
+        rig = replace(rig, sensor_P=own)
     h = control_period(keys)
     rig = with_queues(rig, h)
     return Loop(

@@ -47,7 +47,9 @@ def rewrite(
         document["name"] = name
     for section, fields, known in _tables(document, spec):
         prefix = f"{section}." if section else ""
-        for key in (k for k in list(fields) if k != LOGS):
+        for key in list(fields):
+            if key == LOGS and EFFECTS[section].of_the_logger:
+                continue
             field, turned = _field(key, known)
             old = (spec.effects[section] if section else spec.parameters)[field]
             value = values.get(prefix + field, old.start)
@@ -68,7 +70,7 @@ def rewrite(
         effects = document.setdefault("effects", tomlkit.table(is_super_table=True))
         for effect in added:
             effects[effect] = _effect(effect, values, spec.command_unit)
-            if spec.filtered and getattr(EFFECTS[effect], "of_the_logger", False):
+            if spec.filtered and EFFECTS[effect].of_the_logger:
                 effects[effect][LOGS] = list(spec.filtered)
     laid = [EFFECTS[e].__dataclass_fields__ for e in (*spec.effects, *added)]
     if "x_from" in spec.geometry and any("x_from" in fields for fields in laid):

@@ -104,8 +104,7 @@ def rig_schema() -> dict[str, Any]:
     }  # fmt: skip
     effects = {
         name: object_schema(
-            parameters(known)
-            | ({LOGS: logs} if getattr(EFFECTS[name], "of_the_logger", False) else {})
+            parameters(known) | ({LOGS: logs} if EFFECTS[name].of_the_logger else {})
         )
         | {"description": EFFECTS[name].__doc__ or ""}
         for name, known in effect_specs().items()

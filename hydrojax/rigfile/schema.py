@@ -6,7 +6,7 @@ import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from hydrojax import units
@@ -323,20 +323,16 @@ def _effects(
     names: tuple[str, ...] = ()
     tables = {name: dict(table) for name, table in effects.items()}
     for name, table in tables.items():
-        if LOGS not in table or not getattr(EFFECTS[name], "of_the_logger", False):
+        if LOGS not in table or not EFFECTS[name].of_the_logger:
             continue
         given = table.pop(LOGS)
-        found = (
-            [n for n in given if n and isinstance(n, str)]
-            if isinstance(given, list)
-            else []
-        )
-        if not found or len(found) < len(given):
+        listed = isinstance(given, list) and given
+        if not listed or not all(isinstance(n, str) and n for n in given):
             raise InputError(
                 f"{path}: [effects.{name}] {LOGS} is no list of logs' names; write "
                 f'{LOGS} = ["log_1.csv"], or delete the line if it is in all of them'
             )
-        names += tuple(found)
+        names += tuple(PurePath(n).name for n in given)
     return names, {
         name: givens(f"{path}: [effects.{name}]", table, known[name])
         for name, table in tables.items()

@@ -16,6 +16,7 @@ from hydrojax.errors import InputError
 from hydrojax.identify.one_log import _halves
 from hydrojax.identify.preparation.data import prepare_logs
 from hydrojax.plant.replay import Windows, before_filters, sensed
+from hydrojax.rigfile.build import build_loop
 from tests import generator
 
 OMEGA, ZETA = 60.0, 0.8
@@ -70,12 +71,20 @@ def test_a_filter_acts_on_the_windows_of_its_logs_alone():
 
 
 def test_the_rig_file_names_the_logs_and_keeps_them():
-    rig = hj.RigFile.from_text(RIG.format(logs='logs = ["a.csv"]'))
+    rig = hj.RigFile.from_text(RIG.format(logs='logs = ["runs/a.csv"]'))
     assert rig.passes_filter("a.csv") and rig.passes_filter("a.csv, first half")
     assert not rig.passes_filter("b.csv")
     assert hj.RigFile.from_text(RIG.format(logs="")).passes_filter("b.csv")
     again = rig.with_text(rig.text)
     assert again.filtered == ("a.csv",)
+
+
+def test_no_loop_reads_by_a_filter_of_some_logs():
+    named, of_all = (
+        build_loop(hj.RigFile.from_text(RIG.format(logs=line))).rig.sensor_P
+        for line in ('logs = ["runs/a.csv"]', "")
+    )
+    assert named == () and [c.name for c in of_all] == ["signal_filter"]
 
 
 @pytest.mark.parametrize("logs", ["logs = 3", "logs = []", 'logs = ["a.csv", 3]'])
