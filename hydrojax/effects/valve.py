@@ -126,12 +126,15 @@ class ValveHysteresis(CommandChannel):
 
 
 class ValveRateLimit(SpoolLimit):
-    """Spool with `abs(ds/dt) <= r_v` (V2); exact for the mean over a step.
+    """Command with `abs(du/dt) <= r_v` (V2); exact for the mean over a step.
 
-    Beside `valve_lag` it limits the speed of that spool.
+    Beside `valve_lag` the ramp stands ahead of that spool (`s = 0`, as a valve's
+    electronics make it) or is the largest speed of the spool itself (`s = 1`, as a
+    pilot's flow makes it). Alone both are the same, and `s` says nothing.
 
-    Stored as `slew = 1/r_v` so that absent is 0: under a held command the spool runs
-    along a ramp, and the area it loses, `slew du abs(du) / 2`, is linear in `slew`.
+    Stored as `slew = 1/r_v` so that absent is 0: a held command is run after along a
+    ramp, and the area lost, `slew du abs(du) / 2`, is linear in `slew`. Of `slew` the
+    command ahead has the part `1 - s^2` and the spool `s (2 - s)`.
     """
 
     name = "valve_rate_limit"
@@ -141,25 +144,36 @@ class ValveRateLimit(SpoolLimit):
         0.0,
         0.0,
         2.0,
-        "largest rate of the spool",
+        "largest rate of the command",
         strength=True,
         size=2e-3,
         grid=spread(3e-3, 2.0, 7),
         outside=("r_v", "{u}/s"),
     )
+    s: Float[Array, ""] = param(
+        "1",
+        0.0,
+        0.0,
+        1.0,
+        "share of it in the spool",
+        prior=0.5,
+        grid=(0.0, 1.0),
+        whole=True,
+    )
 
     def slowness(self):
-        return self.slew
+        return self.slew * (1 - self.s**2), self.slew * self.s * (2 - self.s)
 
     def init(self, u):
         return u
 
-    def step(self, memory, u, h):
+    def step(self, memory, u, h, slowness=None):
+        slew = self.slew if slowness is None else slowness
         gap = u - memory
         size = jnp.abs(gap)
-        need = self.slew * size  # seconds to get there
+        need = slew * size  # seconds to get there
         late = need > h
-        slew = jnp.where(late, self.slew, 1.0)
+        slew = jnp.where(late, slew, 1.0)
         way = jnp.where(gap < 0, -1.0, 1.0) * h / slew
         end = jnp.where(late, memory + way, u)
         ramp = u - 0.5 * gap * need / h

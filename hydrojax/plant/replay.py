@@ -192,7 +192,7 @@ def _commands(rig: Rig, motion: Motion, cut: Cut) -> tuple[Rig, Held, Held]:
     """The command ahead of the stretches and in them, as late as it comes.
 
     With it the rig without what makes it late: what stands after a delay does not care
-    when. One part stands for all of a step where nothing is late.
+    when. One part stands for all of a step where nothing is late or limited.
     """
     late = [c for c in rig.command if isinstance(c, CommandDelay)]
     rest = tuple(c for c in rig.command if not isinstance(c, CommandDelay))
@@ -206,7 +206,7 @@ def _commands(rig: Rig, motion: Motion, cut: Cut) -> tuple[Rig, Held, Held]:
     edges, near = _edges(pre, ticks, steps), pre - steps[0][0]
     t, area = (jnp.pad(jnp.cumsum(a, axis=1), ((0, 0), (1, 0))) for a in (h, u * h))
     step = jnp.diff(t[:, edges], axis=1)
-    if late:
+    if late or slow:
         part = jnp.arange(PARTS + 1) / PARTS
         at = (
             t[:, edges[:-1], None] + step[..., None] * part - sum(c.lag() for c in late)

@@ -710,8 +710,9 @@ def full(rig):
     new["counterbalance.V_line"] = 2e-5
     new["counterbalance.check_loss"] = 0.2
     new |= REACHED
-    # Slower than the spool that it limits would move at times.
+    # Slower than the spool that it limits would move at times, behind such a ramp.
     new["valve_rate_limit.slew"] = 0.011
+    new["valve_rate_limit.s"] = 0.6
     return put(rig, list(new), list(new.values()))
 
 

@@ -1,5 +1,8 @@
 """Channels against closed forms, scipy and plain loops."""
 
+from functools import partial
+from itertools import product
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -178,14 +181,18 @@ def lag_truth(u, omega, zeta, h, fine=400):
 # -- lag and slew --
 
 
-def spool_truth(u, omega, zeta, r_v, h, fine=2000):
-    """Means over each tick of a spool with inertia whose speed cannot pass `r_v`."""
-    y, v, step, means = u[0], 0.0, h / fine, []
+def spool_truth(u, omega, zeta, r_v, h, ahead, fine=2000):
+    """Means over each tick of a spool with inertia whose speed cannot pass `r_v`, or
+    behind a command whose rate cannot (`ahead`).
+    """
+    y, v, step, means, ramp = u[0], 0.0, h / fine, [], u[0]
     for value in u:
         whole = 0.0
         for _ in range(fine):
-            v += step * omega * (omega * (value - y) - 2 * zeta * v)
-            v = min(max(v, -r_v), r_v)
+            ramp += min(max(value - ramp, -r_v * step), r_v * step)
+            goal = ramp if ahead else value
+            v += step * omega * (omega * (goal - y) - 2 * zeta * v)
+            v = v if ahead else min(max(v, -r_v), r_v)
             whole += y + step * v / 2
             y += step * v
         means.append(whole / fine)
@@ -205,33 +212,41 @@ def rigged(channels, u, h):
 
 
 @pytest.mark.parametrize("r_v", [1.6, 5.0, 60.0])
-def test_a_limit_holds_while_the_spool_moves(r_v):
+@pytest.mark.parametrize("s", [0.0, 1.0])
+def test_a_limit_holds_while_the_spool_moves(r_v, s):
     """Steps of a slow spool at 100 Hz, from inside the limit to far beyond it."""
     u = np.repeat([0.0, 0.9, -0.4, -0.3, 0.0], 25)
-    channels = [ValveRateLimit(slew=1 / r_v), ValveLag(tau=1 / 30.0, zeta=0.66)]
-    got = rigged(channels, u, 0.01)
-    assert np.allclose(got, spool_truth(u, 30.0, 0.66, r_v, 0.01), rtol=0, atol=6e-3)
+    limit = ValveRateLimit(slew=1 / r_v, s=s)
+    got = rigged([limit, ValveLag(tau=1 / 30.0, zeta=0.66)], u, 0.01)
+    truth = spool_truth(u, 30.0, 0.66, r_v, 0.01, ahead=s == 0)
+    assert np.allclose(got, truth, rtol=0, atol=6e-3)
+    other = spool_truth(u, 30.0, 0.66, r_v, 0.01, ahead=s == 1)
+    assert r_v > 30 or np.max(np.abs(got - other)) > 0.05
 
 
 def test_a_limit_is_its_own_where_the_spool_has_no_inertia():
     u = held(60)
-    limit = ValveRateLimit(slew=1 / 300.0)
-    alone = rigged([limit], u, H)
-    assert np.ptp(alone - u) > 0.1
-    assert np.allclose(rigged([limit, ValveLag()], u, H), alone, rtol=0, atol=1e-12)
+    for s in (0.0, 0.4, 1.0):
+        limit = ValveRateLimit(slew=1 / 300.0, s=s)
+        alone = rigged([limit], u, H)
+        assert np.ptp(alone - u) > 0.1
+        if s in (0.0, 1.0):
+            both = rigged([limit, ValveLag()], u, H)
+            assert np.allclose(both, alone, rtol=0, atol=1e-12)
 
 
 def test_both_derivatives_live_where_both_are_absent():
     u, size = held(60), 1e-7
 
-    def by(slew, tau):
-        return rigged([ValveRateLimit(slew=slew), ValveLag(tau=tau)], u, H)
+    def by(slew, tau, s):
+        return rigged([ValveRateLimit(slew=slew, s=s), ValveLag(tau=tau)], u, H)
 
     one = jnp.ones(())
-    for along in ((one, 0 * one), (0 * one, one)):
-        slope = jax.jvp(by, (0 * one, 0 * one), along)[1]
+    for along, s in product(((one, 0 * one), (0 * one, one)), (0.0, 1.0)):
+        ways = partial(by, s=s)
+        slope = jax.jvp(ways, (0 * one, 0 * one), along)[1]
         steps = [size * float(a) for a in along]
-        found = (by(*steps) - by(0.0, 0.0)) / size
+        found = (ways(*steps) - ways(0.0, 0.0)) / size
         assert np.max(np.abs(found)) > 0.1
         assert np.allclose(slope, found, rtol=1e-3, atol=1e-3 * np.max(np.abs(found)))
 

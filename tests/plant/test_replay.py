@@ -352,16 +352,20 @@ def test_lanes_are_a_loop(rig, drive):
 # -- the command long ahead of a window --
 
 
-def slewed(u, h, omega, zeta, r_v, fine=40):
+def slewed(u, h, omega, zeta, r_v, ahead, fine=40):
     """A rate-limited spool's place at the end of every tick, by small steps.
 
-    Its rate stays at the limit while more is asked for, and leaves it at once.
+    Its rate stays at the limit while more is asked for, and leaves it at once; or that
+    of the command ahead of it does.
     """
-    y, rate, dt, out = u[0], 0.0, h / fine, []
+    y, rate, dt, out, ramp = u[0], 0.0, h / fine, [], u[0]
     for goal in u:
         for _ in range(fine):
-            rate += dt * omega * (omega * (goal - y) - 2 * zeta * rate)
-            rate = min(max(rate, -r_v), r_v)
+            ramp += min(max(goal - ramp, -r_v * dt), r_v * dt)
+            rate += (
+                dt * omega * (omega * ((ramp if ahead else goal) - y) - 2 * zeta * rate)
+            )
+            rate = rate if ahead else min(max(rate, -r_v), r_v)
             y += dt * rate
         out.append(y)
     return np.array(out)
@@ -374,16 +378,18 @@ def operated(n, h):
     return np.clip(1.2 * waves[0] + 0.6 * waves[1] + 0.5 * waves[2], -0.9, 0.9)
 
 
+@pytest.mark.parametrize("s", [0.0, 1.0])
 @pytest.mark.parametrize(("r_v", "most"), [(1.0, 5e-3), (2.0, 2e-3), (5.0, 2e-3)])
-def test_stretches_see_what_a_slow_spool_remembers(rig, drive, r_v, most):
+def test_stretches_see_what_a_slow_spool_remembers(rig, drive, r_v, most, s):
     h, omega, zeta = 0.01, 40.0, 0.8
     u = operated(6000, h)
-    place = slewed(u, h, omega, zeta, r_v)
-    slow = add(rig, [EFFECTS["valve_lag"](), EFFECTS["valve_rate_limit"]()])
+    place = slewed(u, h, omega, zeta, r_v, ahead=s == 0)
+    slow = add(rig, [EFFECTS["valve_rate_limit"](), EFFECTS["valve_lag"]()])
     slow = put(
         slow,
-        ["valve_lag.tau", "valve_lag.zeta", "valve_rate_limit.slew"],
-        [1 / omega, zeta, 1 / r_v],
+        ["valve_lag.tau", "valve_lag.zeta", "valve_rate_limit.slew"]
+        + ["valve_rate_limit.s"],
+        [1 / omega, zeta, 1 / r_v, s],
     )
     motion = drive().motion._replace(u=u[None], h=np.full((1, len(u) - 1), h))
     up, down = openings(slow, motion)
