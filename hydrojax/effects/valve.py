@@ -133,8 +133,9 @@ class ValveRateLimit(SpoolLimit):
     pilot's flow makes it). Alone both are the same, and `s` says nothing.
 
     Stored as `slew = 1/r_v` so that absent is 0: a held command is run after along a
-    ramp, and the area lost, `slew du abs(du) / 2`, is linear in `slew`. Of `slew` the
-    command ahead has the part `1 - s^2` and the spool `s (2 - s)`.
+    ramp, and the area lost, `slew du abs(du) / 2`, is linear in `slew`. Of any other
+    `s` the share `1 - s` of what the ramp takes off the command is taken off ahead, and
+    the spool's largest speed is `r_v / s`.
     """
 
     name = "valve_rate_limit"
@@ -162,18 +163,20 @@ class ValveRateLimit(SpoolLimit):
     )
 
     def slowness(self):
-        return self.slew * (1 - self.s**2), self.slew * self.s * (2 - self.s)
+        return self.slew
+
+    def inside(self):
+        return self.s
 
     def init(self, u):
         return u
 
-    def step(self, memory, u, h, slowness=None):
-        slew = self.slew if slowness is None else slowness
+    def step(self, memory, u, h):
         gap = u - memory
         size = jnp.abs(gap)
-        need = slew * size  # seconds to get there
+        need = self.slew * size  # seconds to get there
         late = need > h
-        slew = jnp.where(late, slew, 1.0)
+        slew = jnp.where(late, self.slew, 1.0)
         way = jnp.where(gap < 0, -1.0, 1.0) * h / slew
         end = jnp.where(late, memory + way, u)
         ramp = u - 0.5 * gap * need / h

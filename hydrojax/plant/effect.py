@@ -82,26 +82,19 @@ class CommandDelay(CommandChannel):
 
 
 class SpoolLimit(CommandChannel):
-    """A limit of a rate: `slowness() -> (ahead, inside)`, both s/{u}, 1 over the rate
-    and zero for none.
+    """A limit of a rate: `slowness() -> s/{u}`, 1 over it, zero for none.
 
-    The first is of the command ahead of the spool, and acts by `step(memory, u, h,
-    slowness)`; the second is of the spool itself. Where the command's path has no spool
-    the effect's own `step` has both.
+    Alone on the command's path it acts by its own `step`. Beside a spool the share
+    `inside()` of it limits that spool's own rate, and the rest the command ahead.
     """
 
-    def slowness(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """The least times in which the command, and the spool, move by one, s/{u}."""
+    def slowness(self) -> Float[Array, ""]:
+        """The least time in which the command or the spool moves by one, s/{u}."""
         raise NotImplementedError
 
-    def step(
-        self, memory, u: Float[Array, "*batch"], h: Float[Array, "*batch"],
-        slowness: ArrayLike | None = None,
-    ):  # fmt: skip
-        """One step of length `h`, with at most `h / slowness` of the way; with that of
-        a rig without a spool where none is given.
-        """
-        raise NotImplementedError
+    def inside(self) -> Float[Array, ""] | float:
+        """The share that is the spool's own: 1 all, 0 none."""
+        return 1.0
 
 
 class Spool(CommandChannel):

@@ -86,15 +86,17 @@ class Rig(eqx.Module):
         """The same for a command that differs from part to part, each `h` s long."""
         limits = [c for c in self.command if isinstance(c, SpoolLimit)]
         spools = [c for c in self.command if isinstance(c, Spool)]
-        inside = sum((c.slowness()[1] for c in limits), start=jnp.zeros(()))
+        slowness = sum((c.slowness() * c.inside() for c in limits), start=jnp.zeros(()))
         out, back = [], None
         for channel, m in zip(self.command, memory, strict=True):
             if back is None and channel.of_the_edges:
                 back = self._at_returns(us)
             if isinstance(channel, Spool):
-                m, us = channel.parts(m, us, h, inside)
+                m, us = channel.parts(m, us, h, slowness)
             elif spools and isinstance(channel, SpoolLimit):
-                m, us = channel.parts(m, us, h, channel.slowness()[0])
+                m, late = channel.parts(m, us, h)
+                ahead = 1 - channel.inside()
+                us = [u + ahead * (w - u) for u, w in zip(us, late, strict=True)]
             else:
                 if back is not None:
                     back = [channel.parts(m, way, h)[1] for way in back]
