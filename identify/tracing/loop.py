@@ -25,6 +25,7 @@ from hydrojax.identify.tracing.judge import (
 )
 from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.rivals import (
+    at_other_ends,
     exchanged,
     pruned,
     shed,
@@ -82,6 +83,8 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
             continue
         state = exchanged(more, effects, noise)
         if state is more:
+            state = at_other_ends(more, noise)
+        if state is more:
             break
     return state
 
@@ -94,14 +97,14 @@ def _or_several(
     """
     if np.isfinite(noise[2]):
         return found  # the pressures by themselves come first
-    left = _errors(found)
+    left = found.errors
     if not np.any((found.check.rms(left) > found.criteria.much * noise)[PRESSURES]):
         return found
     several = _several(replace(begun, scores=found.scores), effects, noise)
     if len(several.added) < len(begun.added) + 2:
         return found
     by = found.criteria.beyond_chance
-    return several if better(_errors(several), left, noise, by) else found
+    return several if better(several.errors, left, noise, by) else found
 
 
 def _scored_round(
@@ -115,17 +118,13 @@ def _scored_round(
     return _round(state, rest, scores, noise)
 
 
-def _errors(state: Tracing) -> np.ndarray:
-    return state.check.errors_at(state.point.values)
-
-
 def _several(
     state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
 ) -> Tracing:
     """Add two effects or more that the flow balances want together, as many as help;
     none of them may help alone. Each has the p-value and the errors of the whole set.
     """
-    check, before = state.check, _errors(state)
+    check, before = state.check, state.errors
     sets = []
     for there in together(state, effects):
         state.progress(f"the flow balances want {there.added[-1].name}")
@@ -139,7 +138,7 @@ def _several(
 
     for last in reversed(range(1, len(sets))):
         found = fitted(sets[last])
-        after = _errors(found)
+        after = found.errors
         there = [state.effects[a.name] for a in found.added[len(state.added) :]]
         by = may_rise(state, there, noise)
         if judge(state, before, after, noise, by) != "helps":
@@ -181,11 +180,11 @@ def _in_steps(state: Tracing, begun: Tracing, noise: np.ndarray) -> Tracing:
     new = [a for a in state.added if a.name not in known]
     some = thinned(state.problem.batch, 2 * HANDFUL)  # fewer want programs of their own
     less = replace(state, problem=replace(state.problem, batch=some))
-    errors = [_errors(state)] if new else []
+    errors = [state.errors] if new else []
     for a in reversed(new[1:]):
         less = without(less, a.name, noise)
-        errors.append(_errors(less))
-    steps = map(state.check.rms, (_errors(begun), *reversed(errors)))
+        errors.append(less.errors)
+    steps = map(state.check.rms, (begun.errors, *reversed(errors)))
     added = (
         replace(a, before=before, after=after)
         for a, (before, after) in zip(new, pairwise(steps), strict=True)
@@ -203,7 +202,7 @@ def _round(
     criteria = state.criteria
     p = family(scores, criteria)
     worth = _worth(state, scores, p, noise)
-    before = state.check.errors_at(state.point.values)
+    before = state.errors
     tried = dict(state.tried)
     helped: list[tuple[float, str, Problem, FitPoint, np.ndarray]] = []
     tries = criteria.tries

@@ -25,6 +25,7 @@ from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
 from hydrojax.identify.tracing.state import Tracing, free_names, strengths
+from hydrojax.parameters import parameter_specs
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.places import place_of
 
@@ -74,7 +75,7 @@ def unspoilt(state: Tracing) -> Tracing:
         if not place_of(state.effects[name]).shows_in_pressures:
             continue
         less = without(state, name, noise)
-        bare, errors = (s.check.errors_at(s.point.values) for s in (less, state))
+        bare, errors = (s.errors for s in (less, state))
         if better(bare, errors, noise, own.beyond_chance):
             state.progress(f"let go of {name}")
             spoils = {name: "spoils another channel"}
@@ -129,8 +130,36 @@ def exchanged(
     return state
 
 
+def at_other_ends(state: Tracing, noise: Float[np.ndarray, "3"]) -> Tracing:
+    """The state fitted from the other end of shares between two shapes of an effect,
+    where that leaves less: between the two lies a hill that no fit comes over, and an
+    effect may have been found before what tells its shapes apart.
+    """
+    names, seen = state.problem.model.names, np.isfinite(noise)
+    specs = parameter_specs(state.problem.model.rig)
+    for name in state.free:
+        own, spec = state.problem.free[name], specs[name]
+        if not (spec.whole and {own.lower, own.upper} <= set(spec.grid)):
+            continue
+        values, errors = state.point.values.copy(), state.errors
+        above = state.check.rms(errors) > state.criteria.at_noise * noise
+        if not np.any(above[seen]):
+            break
+        at = names.index(name)
+        low = values[at] - own.lower < own.upper - values[at]
+        values[at] = own.upper if low else own.lower
+        if np.allclose(state.check.errors_at(values), errors, rtol=1e-3):
+            continue  # nothing tells the shapes apart
+        state.progress(f"refit from the other end of {name}")
+        problem, point = fit_from(state, values, state.free, noise)
+        after = state.check.errors_at(point.values)
+        if better(after, errors, noise, state.criteria.beyond_chance):
+            state = replace(state, problem=problem, point=point)
+    return state
+
+
 def _rms(state: Tracing) -> Float[np.ndarray, "3"]:
-    return state.check.rms(state.check.errors_at(state.point.values))
+    return state.check.rms(state.errors)
 
 
 def without(state: Tracing, name: str, noise: Float[np.ndarray, "3"]) -> Tracing:
@@ -164,7 +193,7 @@ def _exchanged(
     the validation error by as much as an effect that is added has to. Of two models
     that are both far off, the better one need not be nearer to the truth.
     """
-    own = state.check.errors_at(state.point.values)
+    own = state.errors
     for rival, problem, point in _in_place_of(state, name, rivals, noise):
         after = state.check.errors_at(point.values)
         by = may_rise(state, [rivals[rival]], noise)
@@ -230,7 +259,7 @@ def with_look_alikes(state: Tracing) -> Tracing:
     if not state.added:
         return state
     noise, criteria = state.noise, state.criteria
-    own, gram = state.check.errors_at(state.point.values), _gram(state, noise)
+    own, gram = state.errors, _gram(state, noise)
     known = {a.name for a in state.added}
     # What was tried in the round of the one effect there is was compared with it.
     others = not {"exchanged", "needless"}.isdisjoint(state.tried.values())

@@ -58,6 +58,11 @@ class Tracing:
         return np.asarray(self.problem.batch.noise)
 
     @property
+    def errors(self) -> Float[np.ndarray, "windows 3"]:
+        """Sums of squares that the fit leaves of the validation logs, by window, SI."""
+        return self.check.errors_at(self.point.values)
+
+    @property
     def named(self) -> dict[str, float]:
         """Every parameter's value by name, SI."""
         return dict(

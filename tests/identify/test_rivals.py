@@ -42,7 +42,8 @@ def opened(recorded):
     folder = recorded(4, {TRUE: {}})
     logs = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "validate")]
     case = open_case(folder / "rig.toml", logs[:2], logs[2:])
-    return api._problems(case, [TRUE, WRONG, "valve_bias", "stribeck"])
+    names = [TRUE, WRONG, "valve_bias", "valve_rate_limit", "stribeck"]
+    return api._problems(case, names)
 
 
 @pytest.fixture(scope="module")
@@ -354,3 +355,41 @@ def test_friction_is_not_asked_what_it_brings_into_the_force(opened, monkeypatch
     state = replace(state, check=Errors(state.noise, (2.0, 2.0, 10.0)))
     monkeypatch.setattr(rivals, "without", None)  # would be called
     assert rivals.unspoilt(state) is state
+
+
+class Ends:
+    """Stands for the validation logs, by the errors at either end of a share."""
+
+    def __init__(self, noise, at, ends):
+        self.at, self.ends = at, [Errors(noise, off) for off in ends]
+
+    def errors_at(self, values):
+        return self.ends[values[self.at] > 0.5].sse
+
+    def rms(self, sse):
+        return np.sqrt(sse.mean(axis=0))
+
+
+@pytest.mark.parametrize(
+    ("ends", "s"),
+    [
+        (((4.0, 4.0, 1.0), (2.0, 4.0, 1.0)), 1.0),
+        (((4.0, 4.0, 1.0), (4.5, 4.0, 1.0)), 0.0),
+        (((4.0, 4.0, 1.0), (4.0, 4.0, 1.0)), None),  # no spool tells them apart
+        (((1.0, 1.0, 1.0), (0.9, 0.9, 1.0)), None),  # nothing is left
+    ],
+)
+def test_a_share_is_tried_from_its_other_end(opened, monkeypatch, ends, s):
+    state = unfitted(opened, "valve_rate_limit")
+    names = state.problem.model.names
+    at = names.index("valve_rate_limit.s")
+    assert state.named["valve_rate_limit.s"] == 0.0
+    state = replace(state, check=Ends(state.noise, at, ends))
+
+    def fit_from(state, values, free, noise):
+        return state.problem, replace(state.point, values=values)
+
+    monkeypatch.setattr(rivals, "fit_from", fit_from if s is not None else None)
+    found = rivals.at_other_ends(state, state.noise)
+    assert found.named["valve_rate_limit.s"] == (s or 0.0)
+    assert (found is state) == (not s)
