@@ -364,7 +364,7 @@ class Ends:
         self.at, self.ends = at, [Errors(noise, off) for off in ends]
 
     def errors_at(self, values):
-        return self.ends[values[self.at] > 0.5].sse
+        return self.ends[int(values[self.at] > 0.5)].sse
 
     def rms(self, sse):
         return np.sqrt(sse.mean(axis=0))
