@@ -202,7 +202,11 @@ def trace_case(
         progress("check the inputs")
         seen = check_inputs(case.spec, case.read_logs).found
         case, found, point, state = traced(*mended_case(given, seen))
-        later = with_late_position(case, found, state, progress)
+        # Asked before, too: what else is missing may hide it there.
+        at = (state.problem, state.point, state.free, progress)
+        later = with_command_between(case, found, *at)
+        if later is found:
+            later = with_late_position(case, found, state, progress)
         if later is not found:
             case, found, point, state = traced(*mended_case(given, later))
         later = with_supply_of_gains(case, found, state, progress)

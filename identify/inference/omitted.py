@@ -36,20 +36,13 @@ def with_omitted(uncertainty: Uncertainty, state: Tracing) -> Uncertainty:
     sizes = model.scale[[model.names.index(n) for n in inside]]
     by = np.stack([m[at] * sizes for m in moved.values()], axis=1)
     before = np.sqrt(np.maximum(np.diag(uncertainty.covariance), 0.0))
-    covariance = uncertainty.covariance + by @ by.T
-    std = dict(zip(inside, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     bent = np.abs(by) > before[:, None]
     limits = list(uncertainty.limits)
     if np.any(bent):
         effects = [n for i, n in enumerate(moved) if bent[:, i].any()]
         own = [n for i, n in enumerate(inside) if bent[i].any()]
         limits.append(_said(effects, own))
-    return replace(
-        uncertainty,
-        covariance=covariance,
-        std={**uncertainty.std, **std},
-        limits=tuple(limits),
-    )
+    return replace(uncertainty.widened(by), limits=tuple(limits))
 
 
 def _moves(state: Tracing) -> dict[str, np.ndarray]:

@@ -8,7 +8,6 @@ Newton; G. Seber and C. Wild, Nonlinear Regression, 1989).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -52,12 +51,7 @@ def with_tolerances(
     """
     inside = uncertainty.inside
     moved = _moved(case, state, inside) if inside else np.empty((0, 0))
-    if not moved.size:
-        return uncertainty
-    covariance = uncertainty.covariance + moved @ moved.T
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
-    found: Mapping[str, float] = dict(zip(inside, std, strict=True))
-    return replace(uncertainty, covariance=covariance, std={**uncertainty.std, **found})
+    return uncertainty.widened(moved) if moved.size else uncertainty
 
 
 def _moved(

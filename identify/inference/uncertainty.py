@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -39,6 +39,21 @@ class Uncertainty:
     inside: tuple[str, ...]
     covariance: Float[np.ndarray, "inside inside"]
     profiles: Mapping[str, Interval] = field(default_factory=dict)
+
+    def widened(self, by: Float[np.ndarray, "inside causes"]) -> Uncertainty:
+        """The same with what further causes move each parameter inside by, SI, counted
+        as one standard deviation; what the logs do not see they do not move.
+        """
+        seen = np.array([self.std[n] is not None for n in self.inside], dtype=bool)
+        by = np.where(seen[:, None], by, 0.0)
+        covariance = self.covariance + by @ by.T
+        found = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+        std = {
+            n: s
+            for n, s, is_seen in zip(self.inside, found, seen, strict=True)
+            if is_seen
+        }
+        return replace(self, covariance=covariance, std={**self.std, **std})
 
 
 def estimate_uncertainty(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hydrojax.identify.estimation.known import Free
-from hydrojax.identify.inference.uncertainty import _covariance, _sorted
+from hydrojax.identify.inference.uncertainty import Uncertainty, _covariance, _sorted
 from hydrojax.identify.tracing.criteria import Criteria
 
 
@@ -68,3 +68,16 @@ def test_one_steep_parameter_does_not_hide_what_logs_show_of_others():
     inside, ends, unseen = _sorted(problem, point, names, gram)
     assert unseen == {"dead"}
     assert inside == names and not ends
+
+
+def test_what_no_log_shows_gets_no_deviation_from_what_moves_the_rest():
+    """Its variance is what rounding leaves, beyond 1e100, and it has no deviation."""
+    C = np.diag([4.0, 1e280, 9.0])
+    std = {"end": None, "a": 2.0, "dead": None, "b": 3.0}
+    own = Uncertainty(std, frozenset(("end",)), ("dead",), (), ("a", "dead", "b"), C)
+    by = np.array([[1.0, 0.0], [1e200, 1.0], [0.0, 4.0]])
+    wide = own.widened(by)
+    assert wide.std == pytest.approx({"a": 5**0.5, "b": 5.0, "end": None, "dead": None})
+    rest = np.ix_([0, 2], [0, 2])
+    assert np.allclose(wide.covariance[rest], (C + by @ by.T)[rest])
+    assert wide.covariance[1, 1] == C[1, 1] and wide.limits == own.limits
