@@ -75,9 +75,9 @@ def test_what_no_log_shows_gets_no_deviation_from_what_moves_the_rest():
     C = np.diag([4.0, 1e280, 9.0])
     std = {"end": None, "a": 2.0, "dead": None, "b": 3.0}
     own = Uncertainty(std, frozenset(("end",)), ("dead",), (), ("a", "dead", "b"), C)
-    by = np.array([[1.0, 0.0], [1e200, 1.0], [0.0, 4.0]])
+    by = np.array([[1.0, 0.0], [1e50, 1.0], [0.0, 4.0]])
     wide = own.widened(by)
-    assert wide.std == pytest.approx({"a": 5**0.5, "b": 5.0, "end": None, "dead": None})
+    assert wide.std == {"a": 5**0.5, "b": 5.0, "end": None, "dead": None}
     rest = np.ix_([0, 2], [0, 2])
     assert np.allclose(wide.covariance[rest], (C + by @ by.T)[rest])
     assert wide.covariance[1, 1] == C[1, 1] and wide.limits == own.limits
