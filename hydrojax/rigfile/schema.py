@@ -224,11 +224,15 @@ class RigFile:
         return base_specs(self.valve if self.layout.has_valve else NoValve())
 
     def passes_filter(self, log: str) -> bool:
-        """Whether a log passed the logger's filter, if there is one: by its name, that
-        of a part of it being the log's, a comma, and which part it is.
+        """Whether a log passed the logger's filter, if there is one, by its name."""
+        return not self.filtered or bool(self.names_of(log) & set(self.filtered))
+
+    @staticmethod
+    def names_of(log: str) -> set[str]:
+        """By what names the rig file may call a log: its own, and of a part of a log
+        that of the whole, which stands ahead of a comma and which part it is.
         """
-        own = {log, log.rpartition(PART)[0]}
-        return not self.filtered or bool(own & set(self.filtered))
+        return {log, log.rpartition(PART)[0]}
 
     @property
     def line(self) -> dict[str, float]:

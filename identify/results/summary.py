@@ -281,6 +281,12 @@ def _notes(case: Case) -> tuple[str, ...]:
         if case.fit.driven_by == "u" and not known:
             taken = f"{value / 1e6:g} MPa was taken; give it under [supply]"
             notes.append(f"neither the logs nor the rig file have {key}: {taken}")
+    read = (log.name for group in case.as_read for log in group)
+    own = {n for log in read for n in case.spec.names_of(log)}
+    for name in case.spec.filtered:
+        if name not in own:
+            said = "so no filter acts there; see `logs` under [effects.signal_filter]"
+            notes.append(f"{name} is none of these logs, {said}")
     if any("v" in log.signals for log in logs):
         notes.append("v is not used: speed is taken from the position")
     return tuple(notes)

@@ -13,8 +13,10 @@ from scipy import signal
 import hydrojax as hj
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError
+from hydrojax.identify.case import open_case
 from hydrojax.identify.one_log import _halves
 from hydrojax.identify.preparation.data import prepare_logs
+from hydrojax.identify.results.summary import _notes
 from hydrojax.plant.replay import Windows, before_filters, sensed
 from hydrojax.rigfile.build import build_loop
 from tests import generator
@@ -106,6 +108,17 @@ def test_windows_know_whether_their_log_was_filtered(folder):
     data = prepare_logs(logs, replace(rig, filtered=("fit_2.csv",)))
     np.testing.assert_array_equal(data.windows.filtered, data.log == 1)
     assert np.all(np.asarray(prepare_logs(logs, rig).windows.filtered) == 1)
+
+
+def test_a_name_that_none_of_the_logs_has_is_called_out(folder):
+    rig = hj.RigFile.load(folder / "rig.toml")
+    names = ("fit_1.csv", "validate.csv", "old.csv")
+    logs = [hj.Log.load(folder / f"{n}.csv") for n in ("fit_1", "validate")]
+    case = open_case(replace(rig, filtered=names), logs[:1], logs[1:])
+    assert [n for n in _notes(case) if "none of these logs" in n] == [
+        "old.csv is none of these logs, so no filter acts there; see `logs` under "
+        "[effects.signal_filter]"
+    ]
 
 
 def test_the_halves_of_a_log_are_all_of_it(folder):
