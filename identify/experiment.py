@@ -178,6 +178,7 @@ def log_batch(
     ticks = setup.h * jnp.ones((1, n - 1))
     motion = Motion(
         u=table[None, :, 0],
+        runs_on=jnp.zeros(1),
         dx=dx,
         h=ticks,
         speed0=jnp.abs(v[:, 0]),

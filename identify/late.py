@@ -28,9 +28,12 @@ from hydrojax.identify.estimation.fit import (
     in_short,
 )
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.preparation.data import Data
+from hydrojax.identify.preparation.segments import runs_on
 from hydrojax.identify.preparation.strays import without_strays
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log, brought_forward
+from hydrojax.logs.tables import Channel
 from hydrojax.rigfile.schema import RigFile
 
 STEP = 0.2
@@ -141,9 +144,9 @@ def with_command_between(
     free: Sequence[str],
     progress: Callable[[str], None],
 ) -> Findings:
-    """The findings, with that of a command that runs on from row to row where the model
-    holds it until the next, if half a row's time takes most of what the fit leaves
-    above the noise; else themselves.
+    """The findings, with that of a command that runs on from row to row where the rig
+    file holds it until the next, if that takes most of what the fit leaves above the
+    noise; else themselves.
 
     Args:
         case: with the findings mended in it.
@@ -155,26 +158,33 @@ def with_command_between(
     """
     own, noise = problem.criteria, np.asarray(problem.batch.noise)
     seen = np.isfinite(noise) & PRESSURES
-    known = any(f.input == "u" and f.finding == "delay" for f in found)
-    if case.fit.driven_by != "u" or known:
+    if case.fit.driven_by != "u" or runs_on(case.spec):
         return found
     rms = problem.rms(problem.errors_at(point.values))
     if not np.any((rms > own.at_noise * noise)[seen]):
         return found
-    half, weights = _tick(case) / 2, np.where(seen, noise, np.inf)
-    same = _Error(case, problem, lambda _: point.values, "u", weights)
-    given, floor = same(0.0), np.sum(seen)
-    if same(half) >= given:
-        return found
-    progress("see whether u runs on between rows")
+    weights, floor = np.where(seen, noise, np.inf), np.sum(seen)
+    spec = case.preparation.spec
+    between = spec.channels.get("u", Channel(column="u")).model_copy(
+        update={"held": False}
+    )
+    line = replace(
+        case.preparation, spec=replace(spec, channels=spec.channels | {"u": between})
+    )
 
     def refitted(moved: Problem) -> np.ndarray:
         return fit_pressures(moved, point.values, free, own.enough_in_search)[1]
 
-    left = _Error(case, problem, refitted, "u", weights)(half) - floor
+    same = _Error(case, problem, lambda _: point.values, "u", weights)
+    given = same.of(case.preparation.data(case.read_logs))
+    on = line.data(case.read_logs)
+    if same.of(on) >= given:
+        return found
+    progress("see whether u runs on between rows")
+    left = replace(same, refitted=refitted).of(on) - floor
     if left > own.late_leaves * (given - floor):
         return found
-    return (*found, command_between(case.spec, half))
+    return (*found, command_between(case.spec))
 
 
 def _is_late(finding: Finding) -> bool:
@@ -200,7 +210,10 @@ class _Error:
 
     def __call__(self, seconds: float) -> float:
         logs = [_later(log, self.name, seconds) for log in self.case.read_logs]
-        data = self.case.preparation.data(logs)
+        return self.of(self.case.preparation.data(logs))
+
+    def of(self, data: Data) -> float:
+        """The same of logs made ready otherwise."""
         moved = in_short(replace(self.problem, batch=batch_of(data)))
         seen = np.isfinite(self.weights)
         left = moved.rms(moved.errors_at(self.refitted(moved))) / self.weights

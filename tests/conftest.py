@@ -134,6 +134,7 @@ def make_drive(substeps: int = 1, jitter: float = 0.0, seed: int = 0) -> Drive:
     whole = slice(0, PRE + TICKS - 1)
     motion = Motion(
         u=np.stack([waves[s]["u"](t[s]) for s in range(2)]),
+        runs_on=np.zeros(2),
         dx=np.stack([np.diff(within(s, whole, 4), axis=1) for s in range(2)]),
         h=np.diff(t, axis=1),
         speed0=np.array([2e-3, 5e-3]),

@@ -57,7 +57,9 @@ class Channel(BaseModel):
 
     `scale` is what the column is multiplied by beside its unit, as for a gauge whose
     span is off. `delay` is how long after the other columns it shows the same moment,
-    as a sensor behind a slow bus does; below 0 where it shows it earlier.
+    as a sensor behind a slow bus does; below 0 where it shows it earlier. `held` is of
+    the command `u` alone: whether it stands at a row's value until the next row, as a
+    digital controller's does, or runs on to it in a straight line, as a joystick's.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -67,6 +69,7 @@ class Channel(BaseModel):
     invert: bool = False
     scale: float = Field(default=1.0, gt=0, lt=math.inf)
     delay: Annotated[str, AfterValidator(_delay)] = "0 s"
+    held: bool = True
 
     @property
     def late(self) -> float:

@@ -32,8 +32,9 @@ from hydrojax.plant.turned import Turned, run_turned
 class Motion(NamedTuple):
     """Motion and command of S segments of N ticks, padded with standstill; SI.
 
-    `u` [S, N] the command, held from each tick to the next; ahead of the first it stood
-    where it begins. `dx` [S, N-1, 4] displacement over each quarter of a tick; `h`
+    `u` [S, N] the command at the ticks; ahead of the first it stood where it begins.
+    Over a tick it goes the share `runs_on` [S] of the way to the next tick's: 0 held, 1
+    in a straight line. `dx` [S, N-1, 4] displacement over each quarter of a tick; `h`
     [S, N-1] a tick's length;
     `speed0` [S] the filtered speed to start from; `v` [S, N] the velocity at the ticks;
     `F` [S, N] the output force there, smoothed if it was measured, for what it
@@ -41,6 +42,7 @@ class Motion(NamedTuple):
     """
 
     u: Float[Array, "segments n"]
+    runs_on: Float[Array, "segments"]
     dx: Float[Array, "segments n-1 4"]
     h: Float[Array, "segments n-1"]
     speed0: Float[Array, "segments"]
@@ -201,22 +203,26 @@ def _commands(rig: Rig, motion: Motion, cut: Cut) -> tuple[Rig, Held, Held]:
     steps = SLOW_STEPS if slow else STEPS
     pre, ticks = steps[-1][0], steps[-1][0] + cut.size
     index = cut.first[:, None] + np.arange(-pre, cut.size)
-    index = jnp.clip(index, 0, motion.h.shape[1] - 1)
-    u, h = (a[cut.seg[:, None], index] for a in (motion.u, motion.h))
+    own = jnp.clip(index, 0, motion.h.shape[1] - 1)
+    seg = cut.seg[:, None]
+    u, h = (a[seg, own] for a in (motion.u, motion.h))
+    rise = motion.runs_on[seg] * (motion.u[seg, own + 1] - u)
+    rise = jnp.where(index == own, rise, 0.0)
+    mean = u + rise / 2
     edges, near = _edges(pre, ticks, steps), pre - steps[0][0]
-    t, area = (jnp.pad(jnp.cumsum(a, axis=1), ((0, 0), (1, 0))) for a in (h, u * h))
+    t, area = (jnp.pad(jnp.cumsum(a, axis=1), ((0, 0), (1, 0))) for a in (h, mean * h))
     step = jnp.diff(t[:, edges], axis=1)
     if late or slow:
         part = jnp.arange(PARTS + 1) / PARTS
         at = (
             t[:, edges[:-1], None] + step[..., None] * part - sum(c.lag() for c in late)
         )
-        gone = jax.vmap(_along_steps)(u, t, area, at.reshape(len(u), -1))
+        gone = jax.vmap(_along_steps)(u, rise, t, area, at.reshape(len(u), -1))
         goal = jnp.diff(gone.reshape(at.shape), axis=-1) / step[..., None] * PARTS
     else:
         goal = jnp.diff(area[:, edges], axis=1) / step
         coarse = len(edges) - 1 - (ticks - near)
-        goal = jnp.concatenate([goal[:, :coarse], u[:, near:]], axis=1)[..., None]
+        goal = jnp.concatenate([goal[:, :coarse], mean[:, near:]], axis=1)[..., None]
     goal, step = jnp.moveaxis(goal, 1, 0), step.T
     ahead = len(edges) - 1 - (ticks - pre)
     return rig, (goal[:ahead], step[:ahead]), (goal[ahead:], step[ahead:])
@@ -241,15 +247,18 @@ def _is_tuple(x: object) -> bool:
 
 def _along_steps(
     u: Float[Array, "n"],
+    rise: Float[Array, "n"],
     t: Float[Array, "n+1"],
     area: Float[Array, "n+1"],
     at: Float[Array, "m"],
 ) -> Float[Array, "m"]:
-    """The integral of a command held over ticks that end at `t`, `area` there, at other
-    times; ahead of the first tick it stood where that one is.
+    """The integral of a command that goes from `u` by `rise` over each tick, at times
+    `at`; it is `area` where ticks end, at `t`, and ahead of the first it stood there.
     """
     i = jnp.clip(jnp.searchsorted(t, at, side="left") - 1, 0, u.size - 1)
-    return area[i] + u[i] * (at - t[i])
+    gone = at - t[i]
+    share = jnp.maximum(gone, 0.0) / (t[i + 1] - t[i])
+    return area[i] + (u[i] + rise[i] * share / 2) * gone
 
 
 def _through(

@@ -272,6 +272,12 @@ def read_rig(
     """
     file = read_sections(path, text)
     check_known(f"{path}: [channels]", file.channels, SIGNALS, "signal")
+    for name, channel in file.channels.items():
+        if name != "u" and not channel.held:
+            raise InputError(
+                f"{path}: [channels] {name}.held: only the command u may be held from "
+                "row to row; delete the key"
+            )
     check_known(f"{path}: [effects]", file.effects, effects, "effect")
     layout = LAYOUTS[file.layout]
     filtered, added = _effects(path, file.effects, effects)

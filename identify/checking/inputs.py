@@ -26,6 +26,7 @@ from hydrojax.identify.checking.balances import (
     force_table,
 )
 from hydrojax.identify.checking.regression import Table, solved
+from hydrojax.identify.preparation.segments import over_ticks, runs_on
 from hydrojax.logs.log import Log
 from hydrojax.parameters import get, parameter_specs
 from hydrojax.rigfile.build import build_rig
@@ -277,7 +278,8 @@ def _stretch(log: Log, rows: slice, spec: RigFile, most: int) -> EvenTicks:
     P = np.stack([signal("P_a1", 0.0), signal("P_a2", 0.0)], axis=1)
     if "P" in log.signals and not {"P_a1", "P_a2"} & set(log.signals):
         P = np.stack([np.zeros(len(even)), signal("P")], axis=1)
+    u = over_ticks(signal("u"), runs_on(spec))
     return EvenTicks(
-        h, signal("u"), at(x), P, signal("P_s", spec.line["P_s"]),
+        h, u, at(x), P, signal("P_s", spec.line["P_s"]),
         signal("P_r", spec.line["P_r"]), signal("F"),
     )  # fmt: skip

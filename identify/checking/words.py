@@ -77,8 +77,8 @@ class Finding:
 
     Attributes:
         input: a signal, or a key of the rig file; several are joined by commas.
-        finding: `sign`, `exchanged`, `unit`, `delay`, `factor`, `left out`, `noise`,
-            `stray`, `stuck`, `clipped` or `vacuum`.
+        finding: `sign`, `exchanged`, `unit`, `delay`, `held`, `factor`, `left out`,
+            `noise`, `stray`, `stuck`, `clipped` or `vacuum`.
         factor: what the input is to be multiplied by; None where that mends nothing.
         error: RMS of the balance that shows it, as given; None where none does.
         error_if_mended: the same with the input mended.
@@ -246,16 +246,14 @@ def late_position(spec: RigFile, name: str, seconds: float) -> Finding:
     return with_delay(late, spec, spec, seconds)
 
 
-def command_between(spec: RigFile, seconds: float) -> Finding:
-    """A command that runs on between rows, which are twice so many seconds apart."""
-    was = spec.channels["u"].late if "u" in spec.channels else 0.0
-    ms = text(float(f"{1e3 * (was + seconds):.3g}"), "ms")
-    lines = columns(spec, ["u"], delay=ms)
+def command_between(spec: RigFile) -> Finding:
+    """A command that runs on between rows."""
+    lines = columns(spec, ["u"], held=False)
     says = (
         "u runs on from row to row, and is not held until the next one: write "
-        f"{written(lines)}, half a row's time"
+        f"{written(lines)}"
     )
-    return Finding("u", "delay", None, None, None, "", says, lines)
+    return Finding("u", "held", None, None, None, "", says, lines)
 
 
 def with_delay(late: Finding, given: RigFile, spec: RigFile, more: float) -> Finding:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from hydrojax.identify.case import Case
 from hydrojax.identify.preparation.data import SETTLE
-from hydrojax.identify.preparation.segments import segment
+from hydrojax.identify.preparation.segments import over_ticks, segment
 from hydrojax.logs.log import Log
 from hydrojax.plant.load import Inertia
 from hydrojax.plant.rig import Rig
@@ -119,7 +119,7 @@ def _rows(case: Case, log: Log, parts: int) -> dict[str, np.ndarray]:
         "measured": np.column_stack([x, rest]),
         "v": s.v,
         "a": s.a,
-        "u": s.u,
+        "u": over_ticks(s.u, s.runs_on),
         "P_s": s.P_s,
         "P_r": s.P_r,
         "P": drive,

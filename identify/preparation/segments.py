@@ -37,6 +37,7 @@ class Segment:
     v: Float[np.ndarray, "ticks"]
     a: Float[np.ndarray, "ticks"]
     u: Float[np.ndarray, "ticks"]
+    runs_on: float  # see `Motion`
     P_s: Float[np.ndarray, "ticks"]
     P_r: Float[np.ndarray, "ticks"]
     P: Float[np.ndarray, "ticks 2"]  # as logged
@@ -109,6 +110,7 @@ def segment(
         v=v,
         a=a,
         u=get.get("u", zero),
+        runs_on=runs_on(spec),
         P_s=supply["P_s"],
         P_r=supply["P_r"],
         P=P,
@@ -116,6 +118,18 @@ def segment(
         F=F,
         smoothed=_smoothed(F),
     )
+
+
+def runs_on(spec: RigFile) -> float:
+    """Share of the way to the next row's command that it goes from each row."""
+    return float("u" in spec.channels and not spec.channels["u"].held)
+
+
+def over_ticks(
+    u: Float[np.ndarray, "ticks"], runs_on: float
+) -> Float[np.ndarray, "ticks"]:
+    """The command's mean over the tick that begins at each."""
+    return u + runs_on / 2 * np.diff(u, append=u[-1:])
 
 
 def _smoothed(F: np.ndarray) -> np.ndarray:

@@ -112,11 +112,12 @@ def motion(segments: list[Segment], h: float) -> Motion:
         speed[k] = first.sum() / (first.shape[0] * h)
         v[k, : s.t.size] = s.v
         F.append(np.pad(s.smoothed, (0, n - s.t.size), mode="edge"))
+    runs_on = jnp.array([s.runs_on for s in segments])
     one, two = (jnp.asarray([s.P[0, i] for s in segments]) for i in range(2))
     u, dx, ticks, speed, v, F = (
         jnp.asarray(np.array(a)) for a in (u, dx, ticks, speed, v, F)
     )
-    return Motion(u, dx, ticks, speed, v, F, (one, two))
+    return Motion(u, runs_on, dx, ticks, speed, v, F, (one, two))
 
 
 def _past(s: Segment, first: int, pre: int) -> tuple[np.ndarray, np.ndarray]:

@@ -812,8 +812,9 @@ def test_a_segment_that_begins_late_had_stood_still():
     zero = np.zeros(t.size)
     line = make_interp_spline(t, zero, k=1)
     segment = segments.Segment(
-        log=0, origin=0.0, t=t, place=line, v=zero, a=zero, u=u, P_s=zero, P_r=zero,
-        P=np.stack([u, u], axis=1), dP=np.zeros((t.size, 3, 2)), F=zero, smoothed=zero,
+        log=0, origin=0.0, t=t, place=line, v=zero, a=zero, u=u, runs_on=0.0,
+        P_s=zero, P_r=zero, P=np.stack([u, u], axis=1), dP=np.zeros((t.size, 3, 2)),
+        F=zero, smoothed=zero,
     )  # fmt: skip
     h, P = windows._past(segment, 150, 260)
     assert len(P) == h.size == 260

@@ -352,15 +352,17 @@ def test_lanes_are_a_loop(rig, drive):
 # -- the command long ahead of a window --
 
 
-def slewed(u, h, omega, zeta, r_v, ahead, fine=40):
+def slewed(u, h, omega, zeta, r_v, ahead, on=0.0, fine=40):
     """A rate-limited spool's place at the end of every tick, by small steps.
 
     Its rate stays at the limit while more is asked for, and leaves it at once; or that
-    of the command ahead of it does.
+    of the command ahead of it does. Over a tick the command goes the share `on` of the
+    way to the next.
     """
     y, rate, dt, out, ramp = u[0], 0.0, h / fine, [], u[0]
-    for goal in u:
-        for _ in range(fine):
+    for begin, end in zip(u, np.append(u[1:], u[-1]), strict=True):
+        for i in range(fine):
+            goal = begin + on * (end - begin) * (i + 0.5) / fine
             ramp += min(max(goal - ramp, -r_v * dt), r_v * dt)
             rate += (
                 dt * omega * (omega * ((ramp if ahead else goal) - y) - 2 * zeta * rate)
@@ -378,12 +380,13 @@ def operated(n, h):
     return np.clip(1.2 * waves[0] + 0.6 * waves[1] + 0.5 * waves[2], -0.9, 0.9)
 
 
+@pytest.mark.parametrize("on", [0.0, 1.0])
 @pytest.mark.parametrize("s", [0.0, 1.0])
 @pytest.mark.parametrize(("r_v", "most"), [(1.0, 5e-3), (2.0, 2e-3), (5.0, 2e-3)])
-def test_stretches_see_what_a_slow_spool_remembers(rig, drive, r_v, most, s):
+def test_stretches_see_what_a_slow_spool_remembers(rig, drive, r_v, most, s, on):
     h, omega, zeta = 0.01, 40.0, 0.8
     u = operated(6000, h)
-    place = slewed(u, h, omega, zeta, r_v, ahead=s == 0)
+    place = slewed(u, h, omega, zeta, r_v, s == 0, on)
     slow = add(rig, [EFFECTS["valve_rate_limit"](), EFFECTS["valve_lag"]()])
     slow = put(
         slow,
@@ -391,9 +394,34 @@ def test_stretches_see_what_a_slow_spool_remembers(rig, drive, r_v, most, s):
         + ["valve_rate_limit.s"],
         [1 / omega, zeta, 1 / r_v, s],
     )
-    motion = drive().motion._replace(u=u[None], h=np.full((1, len(u) - 1), h))
+    motion = drive().motion
+    motion = motion._replace(
+        u=u[None], h=np.full((1, len(u) - 1), h), runs_on=np.array([on])
+    )
     up, down = openings(slow, motion)
     got = np.asarray(up - down)[0]
     ends = np.append(u[0], place[:-1])
     off = np.abs(got - (ends[1:] + ends[:-1]) / 2)
+    if on and s == 0:
+        # A line is stairs of a quarter of a tick to a ramp, which lie up to an eighth
+        # of a tick behind it.
+        most += h / 8 * np.max(np.abs(np.diff(u))) / h
     assert len(off) > 3 * STRETCH and np.max(off) < most
+
+
+@pytest.mark.parametrize("late", [0.0, 0.0037, 0.013])
+def test_a_command_that_runs_on_is_a_straight_line_between_ticks(rig, drive, late):
+    """Its mean over each tick, late by so many seconds; it stood ahead of the first."""
+    rng = np.random.default_rng(0)
+    n, h = 700, 5e-3
+    u, t = rng.uniform(-2, 2, n), h * np.arange(n)
+    rig = add(rig, [EFFECTS["valve_delay"](tau_u=late)] if late else [])
+    motion = drive().motion._replace(
+        u=u[None], h=np.full((1, n - 1), h), runs_on=np.ones(1)
+    )
+    fine = h * np.arange(40 * (n - 1) + 1) / 40
+    line = np.interp(fine - late, t, u)
+    middles = ((line[1:] + line[:-1]) / 2).reshape(-1, 40).mean(axis=1)
+    got = openings(rig, motion)
+    spool = np.asarray(got[0] - got[1] if late else got[0])[0]
+    assert np.allclose(spool, middles, rtol=0, atol=2e-3)
