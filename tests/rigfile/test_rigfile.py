@@ -112,6 +112,16 @@ def test_a_scale_that_is_none(tmp_path: Path, scale: str) -> None:
     refusal(tmp_path, text, "[channels] u.scale", "expected a positive number")
 
 
+def test_whether_u_is_held_is_said_of_u_alone(tmp_path: Path) -> None:
+    assert read(tmp_path, SOUND).channels["u"].held
+    runs_on = swapped("invert = true", "held = false")
+    assert not read(tmp_path, runs_on).channels["u"].held
+    text = swapped("invert = true", 'held = "no"')
+    refusal(tmp_path, text, "[channels] u.held", "expected true or false")
+    text = SOUND.replace("[channels]", '[channels]\nx = { column = "x", held = false }')
+    refusal(tmp_path, text, "[channels] x.held", "only the command u", "delete the key")
+
+
 # What is read
 
 
@@ -128,6 +138,7 @@ def test_sound_rig(tmp_path: Path) -> None:
     assert rig.output_load == {"F": 0.0}
     assert rig.channels["u"].model_dump() == {
         "column": "MainU", "unit": "V", "invert": True, "scale": 1.0, "delay": "0 s",
+        "held": True,
     }  # fmt: skip
     assert rig.channels["F"].unit is None
     assert not rig.channels["F"].invert
