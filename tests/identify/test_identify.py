@@ -21,6 +21,7 @@ from scipy.interpolate import CubicSpline, make_interp_spline, make_smoothing_sp
 from hydrojax.effects import EFFECTS
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
+from hydrojax.identify.checking.inputs import inputs_of
 from hydrojax.identify.estimation import starts
 from hydrojax.identify.estimation.fit import fit_all
 from hydrojax.identify.estimation.known import Free, free_parameters
@@ -822,6 +823,20 @@ def test_a_segment_that_begins_late_had_stood_still():
     reach = np.cumsum(h[::-1])[::-1] - h  # from a tick's end to the window
     assert np.allclose(P[reach > 0.05], 2.0)
     assert np.allclose(P[reach < 0.049], -1.0)
+
+
+def test_a_command_that_runs_on_is_made_ready_so(recorded):
+    """For replays a share of the way to the next row, for balances the tick's mean."""
+    folder = recorded(SEED)
+    log, held = Log.load(folder / "fit_1.csv"), RigFile.load(folder / "rig.toml")
+    text = held.text + '\n[channels]\nu = { column = "u", held = false }\n'
+    on = held.with_text(text)
+    data = [prepare_logs([log], spec) for spec in (held, on)]
+    assert [d.motion.runs_on.tolist() for d in data] == [[0.0], [1.0]]
+    assert np.array_equal(data[0].motion.u, data[1].motion.u)
+    stood, ran = (inputs_of(spec, [log]).stretches[0].u for spec in (held, on))
+    assert np.ptp(stood) > 1.0
+    assert np.allclose(ran[:-1], (stood[1:] + stood[:-1]) / 2, rtol=0, atol=1e-12)
 
 
 def test_motion_under_a_command_is_never_turned(recorded):
