@@ -35,7 +35,7 @@ from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncert
 from hydrojax.identify.late import (
     with_command_between,
     with_delay_replayed,
-    with_late_position,
+    with_late_signal,
 )
 from hydrojax.identify.longer import with_long_runs
 from hydrojax.identify.motion.predict import check_drive, predict_motion
@@ -202,11 +202,7 @@ def trace_case(
         progress("check the inputs")
         seen = check_inputs(case.spec, case.read_logs).found
         case, found, point, state = traced(*mended_case(given, seen))
-        # Asked before, too: what else is missing may hide it there.
-        at = (state.problem, state.point, state.free, progress)
-        later = with_command_between(case, found, *at)
-        if later is found:
-            later = with_late_position(case, found, state, progress)
+        later = with_late_signal(case, found, state, progress)
         if later is not found:
             case, found, point, state = traced(*mended_case(given, later))
         later = with_supply_of_gains(case, found, state, progress)

@@ -42,6 +42,9 @@ STEP = 0.2
 MOVES = 4
 """How often it is moved on, at most."""
 
+DELAYS = {"valve_delay.tau_u", "valve_lag.tau"}
+"""Parameters by which a command comes later than the logs have it."""
+
 SAME = 0.1
 """Moves within which the delay is what it was."""
 
@@ -164,13 +167,7 @@ def with_command_between(
     if not np.any((rms > own.at_noise * noise)[seen]):
         return found
     weights, floor = np.where(seen, noise, np.inf), np.sum(seen)
-    spec = case.preparation.spec
-    between = spec.channels.get("u", Channel(column="u")).model_copy(
-        update={"held": False}
-    )
-    line = replace(
-        case.preparation, spec=replace(spec, channels=spec.channels | {"u": between})
-    )
+    line = replace(case.preparation, spec=_running_on(case.preparation.spec))
 
     def refitted(moved: Problem) -> np.ndarray:
         return fit_pressures(moved, point.values, free, own.enough_in_search)[1]
@@ -178,13 +175,33 @@ def with_command_between(
     same = _Error(case, problem, lambda _: point.values, "u", weights)
     given = same.of(case.preparation.data(case.read_logs))
     on = line.data(case.read_logs)
-    if same.of(on) >= given:
+    # A delay that was fitted to a held command is half a row too long for a line.
+    if not DELAYS & set(free) and same.of(on) >= given:
         return found
     progress("see whether u runs on between rows")
     left = replace(same, refitted=refitted).of(on) - floor
     if left > own.late_leaves * (given - floor):
         return found
     return (*found, command_between(case.spec))
+
+
+def with_late_signal(
+    case: Case, found: Findings, state: Tracing, progress: Callable[[str], None]
+) -> Findings:
+    """The findings, with that of a command that runs on between rows, or else of a late
+    position, where a trace has ended above the noise; else themselves.
+
+    What the model lacked may have hidden the first from `with_command_between` before.
+    """
+    at = (state.problem, state.point, state.free, progress)
+    later = with_command_between(case, found, *at)
+    return with_late_position(case, found, state, progress) if later is found else later
+
+
+def _running_on(spec: RigFile) -> RigFile:
+    """The rig file with a command that runs on between rows."""
+    u = spec.channels.get("u", Channel(column="u")).model_copy(update={"held": False})
+    return replace(spec, channels=spec.channels | {"u": u})
 
 
 def _is_late(finding: Finding) -> bool:

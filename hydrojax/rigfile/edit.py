@@ -67,11 +67,7 @@ def rewrite(
             known = LOAD_PARAMETERS[key]
             _set(document["load"], key, value, known, False, spec.command_unit)
     if added:
-        effects = document.setdefault("effects", tomlkit.table(is_super_table=True))
-        for effect in added:
-            effects[effect] = _effect(effect, values, spec.command_unit)
-            if spec.filtered and EFFECTS[effect].of_the_logger:
-                effects[effect][LOGS] = list(spec.filtered)
+        _declare(document, spec, values, added)
     laid = [EFFECTS[e].__dataclass_fields__ for e in (*spec.effects, *added)]
     if "x_from" in spec.geometry and any("x_from" in fields for fields in laid):
         geometry = document.setdefault("geometry", tomlkit.table())
@@ -82,6 +78,20 @@ def rewrite(
         for key, value in controller.items():
             table[key] = value
     return tomlkit.dumps(document)
+
+
+def _declare(
+    document: tomlkit.TOMLDocument,
+    spec: RigFile,
+    values: Mapping[str, float],
+    added: Sequence[str],
+) -> None:
+    """Write effects that the file does not declare into a rig file's document."""
+    effects = document.setdefault("effects", tomlkit.table(is_super_table=True))
+    for effect in added:
+        effects[effect] = _effect(effect, values, spec.command_unit)
+        if spec.filtered and EFFECTS[effect].of_the_logger:
+            effects[effect][LOGS] = list(spec.filtered)
 
 
 def with_lines(content: str, lines: Mapping[str, Mapping[str, object]]) -> str:

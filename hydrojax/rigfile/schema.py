@@ -271,13 +271,7 @@ def read_rig(
         InputError: see `RigFile.from_text`.
     """
     file = read_sections(path, text)
-    check_known(f"{path}: [channels]", file.channels, SIGNALS, "signal")
-    for name, channel in file.channels.items():
-        if name != "u" and not channel.held:
-            raise InputError(
-                f"{path}: [channels] {name}.held: only the command u may be held from "
-                "row to row; delete the key"
-            )
+    _check_channels(path, file.channels)
     check_known(f"{path}: [effects]", file.effects, effects, "effect")
     layout = LAYOUTS[file.layout]
     filtered, added = _effects(path, file.effects, effects)
@@ -314,6 +308,17 @@ def read_rig(
     )
     _check(spec)
     return spec
+
+
+def _check_channels(path: str, channels: Mapping[str, Channel]) -> None:
+    """Refuse a signal that is not known, and one other than u that is not held."""
+    check_known(f"{path}: [channels]", channels, SIGNALS, "signal")
+    for name, channel in channels.items():
+        if name != "u" and not channel.held:
+            raise InputError(
+                f"{path}: [channels] {name}.held: only the command u may be held from "
+                "row to row; delete the key"
+            )
 
 
 LOGS = "logs"
