@@ -25,6 +25,13 @@ class Free:
     prior: float | None = None
 
 
+def is_of_shapes(own: Free, spec: Spec) -> bool:
+    """Whether a parameter is the share between two shapes of an effect, at the ends of
+    its range.
+    """
+    return spec.whole and {own.lower, own.upper} <= set(spec.grid)
+
+
 def free_parameters(spec: RigFile) -> dict[str, Free]:
     """What a rig file leaves to be found, effects it declares included.
 

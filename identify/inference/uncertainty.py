@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.identify.estimation.fit import FitPoint
-from hydrojax.identify.estimation.known import Free
+from hydrojax.identify.estimation.known import Free, is_of_shapes
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.parameters import Spec, parameter_specs
@@ -93,6 +93,7 @@ def estimate_uncertainty(
     limits = [
         _at_end(name, end, problem.free[name], specs[name])
         for name, end in ends.items()
+        if not is_of_shapes(problem.free[name], specs[name])
     ]
     if unidentifiable:
         limits += _in_words(unidentifiable, unseen, inside, H, problem.criteria)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.identify.estimation.fit import FitPoint
+from hydrojax.identify.estimation.known import is_of_shapes
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.preparation.resolution import NoiseBy
 from hydrojax.identify.tracing.in_balances import near_in_balances
@@ -138,8 +139,8 @@ def at_other_ends(state: Tracing, noise: Float[np.ndarray, "3"]) -> Tracing:
     names, seen = state.problem.model.names, np.isfinite(noise)
     specs = parameter_specs(state.problem.model.rig)
     for name in state.free:
-        own, spec = state.problem.free[name], specs[name]
-        if not (spec.whole and {own.lower, own.upper} <= set(spec.grid)):
+        own = state.problem.free[name]
+        if not is_of_shapes(own, specs[name]):
             continue
         values, errors = state.point.values.copy(), state.errors
         above = state.check.rms(errors) > state.criteria.at_noise * noise

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydrojax.identify.checking.words import Finding
-from hydrojax.identify.estimation.known import Free
+from hydrojax.identify.estimation.known import Free, is_of_shapes
 from hydrojax.identify.inference.uncertainty import _at_end, is_whole
 from hydrojax.identify.results.limits import (
     _noisier,
@@ -62,6 +62,14 @@ EXPONENT = Spec("1", 1.2, 1.0, 1.4, "an exponent")
 def test_only_a_range_narrower_than_the_model_s_is_to_be_widened(end, own, spec, says):
     assert says in _at_end("e.n", end, own, spec)
     assert is_whole(own, spec) == (spec is SHARE and own.upper == 1.0)
+
+
+def test_a_share_between_two_shapes_is_told_by_its_ends():
+    """One that a rig file lets go half the way only has no second shape."""
+    between = Spec("1", 0.0, 0.0, 1.0, "", whole=True, grid=(0.0, 1.0))
+    assert is_of_shapes(Free(0.0, 0.0, 1.0), between)
+    assert not is_of_shapes(Free(0.0, 0.0, 0.5), between)
+    assert not is_of_shapes(Free(0.0, 0.0, 1.0), SHARE)
 
 
 def test_a_factor_and_the_effect_that_does_the_same_are_one_error():
