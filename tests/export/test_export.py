@@ -200,7 +200,7 @@ def test_toml_has_the_quantities_of_the_file_in_si(tmp_path):
     lag = made["effects"]["valve_lag"]["tau"]
     assert registry(lag["start"]).magnitude == pytest.approx(1 / 1257, rel=1e-15)
     assert registry(lag["range"][1]).magnitude == pytest.approx(1 / 300, rel=1e-15)
-    defaults = {"scale": 1.0, "delay": "0 s"}
+    defaults = {"scale": 1.0, "delay": "0 s", "held": True}
     own = {name: {**entry, **defaults} for name, entry in given["channels"].items()}
     assert made["channels"] == own
     assert [float(u) for u in made["valve"]["command"]] == given["valve"]["command"]
