@@ -173,14 +173,16 @@ def with_command_between(
         return fit_pressures(moved, point.values, free, own.enough_in_search)[1]
 
     same = _Error(case, problem, lambda _: point.values, "u", weights)
-    given = same.of(case.preparation.data(case.read_logs))
-    on = line.data(case.read_logs)
+    held, on = (p.data(case.read_logs) for p in (case.preparation, line))
+    given = same.of(held)
     # A delay that was fitted to a held command is half a row too long for a line.
     if not DELAYS & set(free) and same.of(on) >= given:
         return found
     progress("see whether u runs on between rows")
-    left = replace(same, refitted=refitted).of(on) - floor
-    if left > own.late_leaves * (given - floor):
+    again = replace(same, refitted=refitted)
+    left = (again.of(on) - floor) / own.late_leaves
+    # Beside what another fit to these windows alone leaves of a held command.
+    if left > given - floor or left > again.of(held) - floor:
         return found
     return (*found, command_between(case.spec))
 
