@@ -197,7 +197,18 @@ def trace_case(
                 case, found = mended_case(given, later)
                 own = _Ready.of(case, pool)
                 base = own.fitted(case, starts, progress)
-            return case, found, base[3], own.searched(case, base, progress)
+
+            def question(state: Tracing) -> None:
+                at = (state.problem, state.point, state.free, progress)
+                later = with_command_between(case, found, *at)
+                if later is not found:
+                    raise _MistakenError(later)
+
+            try:
+                state = own.searched(case, base, progress, question)
+            except _MistakenError as mistaken:
+                return traced(*mended_case(given, mistaken.found))
+            return case, found, base[3], state
 
         progress("check the inputs")
         seen = check_inputs(case.spec, case.read_logs).found
@@ -231,6 +242,14 @@ def _timed(outcome: Outcome, began: float, compiled: _Compiling) -> Outcome:
     total = time.perf_counter() - began
     seconds = {"compile": compiled.seconds, "run": total - compiled.seconds}
     return replace(outcome, seconds=seconds)
+
+
+class _MistakenError(Exception):
+    """What a search has found shows an input to be at fault: it is to begin again."""
+
+    def __init__(self, found: Findings):
+        super().__init__()
+        self.found = found
 
 
 @dataclass(frozen=True)
@@ -274,6 +293,7 @@ class _Ready:
         case: Case,
         base: tuple[Problem, np.ndarray, Problem, FitPoint],
         progress: Progress,
+        question: Callable[[Tracing], None],
     ) -> Tracing:
         """What a search for effects finds from the declared model's fit."""
         early, values, done, point = base
@@ -284,6 +304,7 @@ class _Ready:
             self.free,
             replace(point, values=values),
             progress,
+            question=question,
         )
         return shed(_on_all(done, _searched(case, search_effects(start))))
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +21,7 @@ from hydrojax.identify.checking.words import (
     late_position,
     with_delay,
 )
+from hydrojax.identify.estimation.balance import balance_at, descend
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
@@ -41,9 +43,6 @@ STEP = 0.2
 
 MOVES = 4
 """How often it is moved on, at most."""
-
-DELAYS = {"valve_delay.tau_u", "valve_lag.tau"}
-"""Parameters by which a command comes later than the logs have it."""
 
 SAME = 0.1
 """Moves within which the delay is what it was."""
@@ -166,25 +165,42 @@ def with_command_between(
     rms = problem.rms(problem.errors_at(point.values))
     if not np.any((rms > own.at_noise * noise)[seen]):
         return found
-    weights, floor = np.where(seen, noise, np.inf), np.sum(seen)
     line = replace(case.preparation, spec=_running_on(case.preparation.spec))
+    held, on = (p.data(case.read_logs) for p in (case.preparation, line))
+    if not _balances_want(problem, point, free, held, on):
+        return found
+    progress("see whether u runs on between rows")
+    weights, floor = np.where(seen, noise, np.inf), np.sum(seen)
+
+    def kept(_: Problem) -> np.ndarray:
+        return point.values
 
     def refitted(moved: Problem) -> np.ndarray:
         return fit_pressures(moved, point.values, free, own.enough_in_search)[1]
 
-    same = _Error(case, problem, lambda _: point.values, "u", weights)
-    held, on = (p.data(case.read_logs) for p in (case.preparation, line))
-    given = same.of(held)
-    # A delay that was fitted to a held command is half a row too long for a line.
-    if not DELAYS & set(free) and same.of(on) >= given:
-        return found
-    progress("see whether u runs on between rows")
-    again = replace(same, refitted=refitted)
-    left = (again.of(on) - floor) / own.late_leaves
+    again = _Error(case, problem, refitted, "u", weights)
     # Beside what another fit to these windows alone leaves of a held command.
-    if left > given - floor or left > again.of(held) - floor:
-        return found
-    return (*found, command_between(case.spec))
+    given = min(replace(again, refitted=kept).of(held), again.of(held))
+    above = given > own.at_noise**2 * floor
+    if above and again.of(on) - floor <= own.late_leaves * (given - floor):
+        return (*found, command_between(case.spec))
+    return found
+
+
+def _balances_want(
+    problem: Problem, point: FitPoint, free: Sequence[str], held: Data, on: Data
+) -> bool:
+    """Whether the flow balances, fitted a few steps on, are left with plainly less of a
+    command that runs `on` than of one that is `held`: they are fitted in a moment.
+    """
+
+    def left(data: Data) -> float:
+        few = replace(problem, batch=batch_of(data)).brief
+        evaluate = partial(balance_at, few)
+        here, steps = evaluate(point.values, free), problem.criteria.far_steps
+        return descend(few, evaluate, here, free, steps).left
+
+    return left(on) < (1 - problem.criteria.fair_share) * left(held)
 
 
 def with_late_signal(

@@ -77,9 +77,11 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
                 # Each was chosen before the others were there.
                 several = pruned(_from_elsewhere(several, noise), noise, fresh=0)
                 state = _in_steps(several, begun, noise)
+                state.question(state)
                 continue
         if added:
             state = pruned(more, noise)
+            state.question(state)
             continue
         state = exchanged(more, effects, noise)
         if state is more:
@@ -97,14 +99,20 @@ def _or_several(
     """
     if np.isfinite(noise[2]):
         return found  # the pressures by themselves come first
-    left = found.errors
-    if not np.any((found.check.rms(left) > found.criteria.much * noise)[PRESSURES]):
+    if not _lacks_much(found, noise):
         return found
+    left = found.errors
     several = _several(replace(begun, scores=found.scores), effects, noise)
     if len(several.added) < len(begun.added) + 2:
         return found
     by = found.criteria.beyond_chance
     return several if better(several.errors, left, noise, by) else found
+
+
+def _lacks_much(state: Tracing, noise: np.ndarray) -> bool:
+    """Whether much is left of a pressure: more than one effect may be missing."""
+    much = state.check.rms(state.errors) > state.criteria.much * noise
+    return bool(np.any(much[PRESSURES]))
 
 
 def _scored_round(
@@ -128,7 +136,10 @@ def _several(
     sets = []
     for there in together(state, effects):
         state.progress(f"the flow balances want {there.added[-1].name}")
+        state.question(there)
         sets.append(there)
+        if not _lacks_much(there, noise):
+            break
 
     def fitted(there: Tracing) -> Tracing:
         names = [a.name for a in there.added[len(state.added) :]]

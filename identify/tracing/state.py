@@ -34,7 +34,8 @@ class Tracing:
     `problem` and `check` hold the logs that are fitted and those that are not;
     `effects` the candidates as they stand dormant in the model; `free` what is fitted
     now; `point` where the fit stands. `scores` and `tried` say what is known of each
-    candidate, `added` what was found, in order.
+    candidate, `added` what was found, in order. `question` is called with the state
+    whenever something was added, or is to be: it may raise, where an input is at fault.
     """
 
     problem: Problem
@@ -46,6 +47,7 @@ class Tracing:
     added: tuple[Added, ...] = ()
     scores: Mapping[str, Score] = field(default_factory=dict)
     tried: Mapping[str, str] = field(default_factory=dict)
+    question: Callable[[Tracing], None] = lambda _: None
 
     @property
     def criteria(self) -> Criteria:

@@ -292,23 +292,66 @@ def test_what_was_found_since_is_no_look_alike(opened, monkeypatch):
     assert [a.cannot_tell_from for a in with_look_alikes(state).added] == [(), ()]
 
 
-def test_effects_that_are_added_together_keep_their_scores(opened, monkeypatch):
+@pytest.fixture
+def sought_together(opened, monkeypatch):
+    """What is found of sets that the flow balances want, each of which helps; and what
+    the search began with.
+    """
+
+    def of(sets, question=lambda _: None):
+        begun = replace(unfitted(opened), question=question)
+        scores = {
+            n: Score(n, 1.0, np.zeros(1), 1.0, 0.0, 1.0, 0.0) for n in (TRUE, WRONG)
+        }
+        found = replace(begun, scores=scores)
+        monkeypatch.setattr(
+            loop,
+            "together",
+            lambda s, _: (replace(one, scores=s.scores) for one in sets),
+        )
+        monkeypatch.setattr(loop, "fit_from", lambda s, *_: (s.problem, s.point))
+        monkeypatch.setattr(loop, "judge", lambda *_: "helps")
+        monkeypatch.setattr(loop, "better", lambda *_: True)
+        monkeypatch.setattr(loop, "chance", lambda *_: 0.0)
+        pressures = only(begun.noise, PRESSURES) / 100
+        return found, loop._or_several(found, found, begun.effects, pressures)
+
+    return of
+
+
+def test_effects_that_are_added_together_keep_their_scores(opened, sought_together):
     """All that was tried is listed, and they were."""
-    begun = unfitted(opened)
-    scores = {n: Score(n, 1.0, np.zeros(1), 1.0, 0.0, 1.0, 0.0) for n in (TRUE, WRONG)}
-    found = replace(begun, scores=scores)
     sets = [unfitted(opened, TRUE), unfitted(opened, TRUE, WRONG)]
-    monkeypatch.setattr(
-        loop, "together", lambda s, _: [replace(one, scores=s.scores) for one in sets]
-    )
-    monkeypatch.setattr(loop, "fit_from", lambda s, *_: (s.problem, s.point))
-    monkeypatch.setattr(loop, "judge", lambda *_: "helps")
-    monkeypatch.setattr(loop, "better", lambda *_: True)
-    monkeypatch.setattr(loop, "chance", lambda *_: 0.0)
-    pressures = only(begun.noise, PRESSURES) / 100
-    out = loop._or_several(begun, found, begun.effects, pressures)
+    found, out = sought_together(sets)
     assert [a.name for a in out.added] == [TRUE, WRONG]
-    assert out.scores == scores
+    assert out.scores == found.scores
+
+
+def test_no_more_are_sought_together_than_replays_lack(opened, sought_together):
+    """What little is left is looked for one by one, with all windows."""
+    noise = only(unfitted(opened).noise, PRESSURES) / 100
+    little = Errors(np.where(np.isfinite(noise), noise, 0.0), (1.5, 1.5, 0.0))
+
+    def sets():
+        yield unfitted(opened, TRUE)
+        yield replace(unfitted(opened, TRUE, WRONG), check=little)
+        pytest.fail("a third effect was sought")
+
+    assert [a.name for a in sought_together(sets())[1].added] == [TRUE, WRONG]
+
+
+def test_an_input_is_questioned_with_each_effect_that_balances_want(
+    opened, sought_together
+):
+    """Before more effects stand in for what is at fault."""
+
+    def question(state):
+        if names_of(state) == [TRUE, WRONG]:
+            raise InterruptedError
+
+    sets = [unfitted(opened, TRUE), unfitted(opened, TRUE, WRONG)]
+    with pytest.raises(InterruptedError):
+        sought_together(sets, question)
 
 
 class Errors:
