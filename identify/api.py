@@ -45,6 +45,7 @@ from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.sentence import motion_sentence
 from hydrojax.identify.results.summary import summarise, with_inputs
 from hydrojax.identify.supply import simpler_and_no_worse, with_supply_of_gains
+from hydrojax.identify.tracing.judge import cost
 from hydrojax.identify.tracing.loop import search_effects
 from hydrojax.identify.tracing.rivals import beyond_position, pruned, shed
 from hydrojax.identify.tracing.state import Tracing
@@ -306,7 +307,22 @@ class _Ready:
             progress,
             question=question,
         )
-        return shed(_on_all(done, _searched(case, search_effects(start))))
+        state = shed(_on_all(done, _searched(case, search_effects(start))))
+        return _or_none(state, replace(start, problem=done, point=point))
+
+
+def _or_none(state: Tracing, base: Tracing) -> Tracing:
+    """The state, or the declared model's if that leaves no more of the validation logs:
+    what helped on the windows that were searched may not help on all, or in one channel
+    by as much as it harms another.
+    """
+    if cost(state.errors, state.noise) < cost(base.errors, state.noise):
+        return state
+    names = [a.name for a in state.added]
+    for name in names:
+        state.progress(f"let go of {name}")
+    tried = {**state.tried, **dict.fromkeys(names, "does not help")}
+    return replace(base, scores=state.scores, tried=tried)
 
 
 def _searched(case: Case, state: Tracing) -> Tracing:

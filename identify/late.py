@@ -33,9 +33,11 @@ from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.preparation.segments import runs_on
 from hydrojax.identify.preparation.strays import without_strays
+from hydrojax.identify.tracing.rivals import taken_out
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log, brought_forward
 from hydrojax.logs.tables import Channel
+from hydrojax.plant.places import place_of
 from hydrojax.rigfile.schema import RigFile
 
 STEP = 0.2
@@ -43,6 +45,9 @@ STEP = 0.2
 
 MOVES = 4
 """How often it is moved on, at most."""
+
+LATE = ("pressure_sensor_lag", "channel_skew", "loadcell_lag")
+"""Effects by which a reading comes late."""
 
 SAME = 0.1
 """Moves within which the delay is what it was."""
@@ -213,7 +218,48 @@ def with_late_signal(
     """
     at = (state.problem, state.point, state.free, progress)
     later = with_command_between(case, found, *at)
-    return with_late_position(case, found, state, progress) if later is found else later
+    for ask in (with_late_position, with_early_position):
+        if later is found:
+            later = ask(case, found, state, progress)
+    return later
+
+
+def with_early_position(
+    case: Case, found: Findings, state: Tracing, progress: Callable[[str], None]
+) -> Findings:
+    """The findings, with that of a position that is early, where that leaves no more
+    than readings of the pressures and of the force which are late, both of them: one
+    cause for two.
+
+    Args:
+        case: with the findings mended in it.
+        found: in its inputs.
+        state: where the trace ended.
+        progress: is called with a line of text.
+    """
+    late = [a.name for a in state.added if a.name in LATE]
+    if state.named.get("channel_skew.tau_s", 0.0) > 0:
+        return found  # ahead of its time
+    places = {place_of(state.effects[name]).name for name in late}
+    if len(places) < 2 or any(map(_is_late, found)):
+        return found
+    name, less = case.read_logs[0].motion, state
+    progress(f"see whether {name} is early")
+    for gone in late:
+        less = taken_out(less, gone)
+
+    def refitted(moved: Problem) -> np.ndarray:
+        return fit_jointly(moved, less.point.values, less.free, less.point.weights)[
+            1
+        ].values
+
+    error = _Error(case, state.problem, refitted, name, state.noise)
+    given = replace(error, refitted=lambda _: state.point.values)(0.0)
+    most = 2 * state.named["pressure_sensor_lag.tau_P"]
+    early, left = least(error, (-min(most, LATEST), 0.0), _tick(case) / 4)
+    if left > (1 + state.criteria.matters) ** 2 * given:
+        return found
+    return (*found, late_position(case.spec, name, early))
 
 
 def _running_on(spec: RigFile) -> RigFile:

@@ -301,7 +301,7 @@ class FlowCurve(CommandChannel):
 
     name = "flow_curve"
     of_the_edges = True
-    needs = ("u", "differential")
+    needs = ("u",)
     residual_axis = "abs(u)"
     u_full: Float[Array, ""] = eqx.field(
         default=1.0, converter=lambda x: jnp.asarray(x, float)

@@ -41,7 +41,9 @@ def judge(
     helps = sure & (b - a > own.matters * sigma)
     if not helps.any():
         return "too small" if sure.any() else "does not help"
-    share = (b**2 - a**2) / np.maximum(b**2 - sigma**2, 1e-300)
+    above = b**2 - sigma**2
+    all_of_it = np.ones_like(above)
+    share = np.divide(b**2 - a**2, above, out=all_of_it, where=above > 0)
     fair = (a <= own.at_noise * sigma) | (share > own.fair_share)
     upstream = seen & PRESSURES
     if np.any((state.check.rms(after) > own.at_noise * noise) & upstream):

@@ -58,7 +58,7 @@ def shed(state: Tracing) -> Tracing:
     for name in [a.name for a in state.added]:
         if negligible(state.problem, state.point, state.effects[name]):
             state.progress(f"let go of {name}")
-            less = _taken_out(state, name)
+            less = taken_out(state, name)
             state = replace(less, tried={**less.tried, name: "too small"})
     return state
 
@@ -97,7 +97,7 @@ def beyond_position(state: Tracing, noise_by: NoiseBy) -> Tracing:
         return noise_by(state.problem, state.point.values)[seen]
 
     for name in [a.name for a in reversed(state.added)]:
-        noise, bare = noise_of(state), noise_of(_taken_out(state, name))
+        noise, bare = noise_of(state), noise_of(taken_out(state, name))
         if not np.any(bare > (1 + own.matters) * noise):
             continue
         less = without(state, name, state.noise)
@@ -165,13 +165,13 @@ def _rms(state: Tracing) -> Float[np.ndarray, "3"]:
 
 def without(state: Tracing, name: str, noise: Float[np.ndarray, "3"]) -> Tracing:
     """The state with one effect taken out and the rest fitted again."""
-    less = _taken_out(state, name)
+    less = taken_out(state, name)
     state.progress(f"refit without {name}")
     problem, point = fit_from(less, less.point.values, less.free, noise)
     return replace(less, problem=problem, point=point)
 
 
-def _taken_out(state: Tracing, name: str) -> Tracing:
+def taken_out(state: Tracing, name: str) -> Tracing:
     """The state with one effect's strengths at zero and nothing of it free."""
     effect = state.effects[name]
     own = set(free_names(effect))
@@ -210,7 +210,7 @@ def _exchanged(
             else a
             for a in state.added
         )
-        free = (*_taken_out(state, name).free, *free_names(rivals[rival]))
+        free = (*taken_out(state, name).free, *free_names(rivals[rival]))
         return replace(
             state,
             problem=problem,
@@ -232,7 +232,7 @@ def _in_place_of(
     balances put them, which takes a moment, or by scores where these do not show them.
     """
     criteria = state.criteria
-    less = _taken_out(state, name)
+    less = taken_out(state, name)
     near = near_in_balances(state, less, rivals)
     if near is not None:
         for rival, values in near[: criteria.rivals]:

@@ -40,7 +40,7 @@ from hydrojax.identify.tracing.in_balances import (
     together,
 )
 from hydrojax.identify.tracing.loop import _in_steps, _several
-from hydrojax.identify.tracing.rivals import _taken_out
+from hydrojax.identify.tracing.rivals import taken_out
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log
 from hydrojax.parameters import specs
@@ -250,7 +250,7 @@ def test_effects_that_are_missing_together_are_told_apart_one_by_one():
     assert {a.name for a in sets[-1]} <= truth
     assert "counterbalance" in {a.name for a in sets[-1]}  # which few steps do not show
     assert truth.isdisjoint(RigFile.load(folder / "rig.toml").effects)
-    less = _taken_out(found[-1], "signal_filter")
+    less = taken_out(found[-1], "signal_filter")
     names = ("dead_volume", "internal_leakage", "signal_filter")
     rivals = {n: state.effects[n] for n in names}
     near = near_in_balances(found[-1], less, rivals)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 import hydrojax as hj
 from benchmarks.machines import files, record
+from hydrojax.effects import EFFECTS
 from hydrojax.identify import api, late
 from hydrojax.identify.case import open_case
 from hydrojax.identify.checking.mended import mended, mended_case
@@ -21,7 +22,8 @@ from hydrojax.identify.late import (
     with_delay_replayed,
     with_late_position,
 )
-from hydrojax.identify.tracing.state import Tracing
+from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.identify.tracing.state import Added, Tracing
 from hydrojax.rigfile.schema import RigFile
 from tests.pages import ROOT
 
@@ -145,3 +147,62 @@ def test_a_position_that_replays_have_early_is_not_called_late(monkeypatch):
         monkeypatch.setattr(late, "_lowest", lambda _, at=moves: at)
         out = late.with_delay_replayed(case, given, found, problem, point, (), print)
         assert len(out) == left
+
+
+NONE = (None, None, ())
+LAGS = ("pressure_sensor_lag", "channel_skew")
+
+
+@pytest.mark.parametrize(
+    ("names", "skew", "bottom", "called"),
+    [
+        (LAGS, -2e-3, 3.0, True),
+        (LAGS, -2e-3, 3.3, False),  # the two leave less
+        (LAGS, 2e-3, 3.0, False),  # the force is ahead
+        (LAGS[:1], 0.0, 3.0, False),  # the force is in time
+    ],
+)
+def test_late_pressures_and_a_late_force_are_one_early_position(
+    names, skew, bottom, called, monkeypatch
+):
+    @dataclass(frozen=True)
+    class Left:
+        """What a fit leaves with the position moved: least 2 ms later."""
+
+        case: object
+        problem: object
+        refitted: object
+        name: str
+        weights: object
+
+        def __call__(self, seconds):
+            if self.refitted(None) == "with both":
+                return 3.0
+            return bottom + (1e3 * seconds + 2.0) ** 2
+
+    less = SimpleNamespace(values="without them", weights=None)
+    state = SimpleNamespace(
+        added=[Added(name, 0.0, *NONE) for name in names],
+        effects=EFFECTS,
+        named={"pressure_sensor_lag.tau_P": 2.4e-3, "channel_skew.tau_s": skew},
+        criteria=Criteria(),
+        point=SimpleNamespace(values="with both", weights=None),
+        problem=None,
+        noise=None,
+        free=(),
+    )
+    given = RigFile.load(ROOT / "hydrojax/demo/rig.toml")
+    log = SimpleNamespace(time=[0.0, 1e-3], motion="psi")
+    case = SimpleNamespace(spec=given, read_logs=[log])
+    monkeypatch.setattr(late, "_Error", Left)
+    monkeypatch.setattr(
+        late,
+        "taken_out",
+        lambda s, _: SimpleNamespace(point=less, free=(), effects=s.effects),
+    )
+    monkeypatch.setattr(late, "fit_jointly", lambda *_: (None, less))
+    found = late.with_early_position(case, (), state, print)
+    assert len(found) == called
+    if called:
+        assert (found[0].input, found[0].finding) == ("psi", "delay")
+        assert "early" in found[0].says

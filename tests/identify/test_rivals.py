@@ -128,7 +128,7 @@ def test_what_only_answers_the_positions_noise_is_let_go(
     took 0.12 of it away where the position's noise brought 0.16 less by it.
     """
     state = unfitted(opened, TRUE)
-    monkeypatch.setattr(rivals, "without", lambda s, n, _: rivals._taken_out(s, n))
+    monkeypatch.setattr(rivals, "without", lambda s, n, _: rivals.taken_out(s, n))
 
     def of_force(state: Tracing, alone: float) -> np.ndarray:
         return state.noise * np.array([1.0, 1.0, 1.0 if state.added else alone])
