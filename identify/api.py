@@ -39,7 +39,7 @@ from hydrojax.identify.late import (
 )
 from hydrojax.identify.longer import with_long_runs
 from hydrojax.identify.motion.predict import check_drive, predict_motion
-from hydrojax.identify.one_log import with_filter_of_one_log
+from hydrojax.identify.one_log import FILTER, with_filter_of_one_log
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.sentence import motion_sentence
@@ -224,7 +224,11 @@ def trace_case(
                 case, found, point, state = other
         one, said_of_it = with_filter_of_one_log(case, state, progress)
         if one is not case:
-            case, found, point, state = traced(one, found)
+            other = traced(one, found)
+            if any(a.name == FILTER for a in other[3].added):
+                case, found, point, state = other
+            else:
+                said_of_it = ()
     outcome = _outcome("trace", case, state, point, progress, profile)
     outcome = replace(outcome, limits=(*said_of_it, *outcome.limits))
 

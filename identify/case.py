@@ -50,6 +50,7 @@ class Preparation:
         band: Hz up to which motion is differentiated.
         criteria: the thresholds.
         smoothed: takes the noise off what drives a log.
+        still: m within which a position is taken to rest; see `prepare_logs`.
     """
 
     spec: RigFile
@@ -59,6 +60,7 @@ class Preparation:
     band: float
     criteria: Criteria
     smoothed: Callable[[Log], Log] = lambda log: log
+    still: float = 0.0
 
     def data(self, logs: Sequence[Log]) -> Data:
         """Logs that take no part in the fit, made ready.
@@ -74,6 +76,7 @@ class Preparation:
             self.sign,
             self.band,
             self.criteria,
+            still=self.still,
         )
 
 
@@ -305,16 +308,19 @@ def _prepared(
         noise: np.ndarray,
         sign: float = 1.0,
         placed: Sequence[Log] | None = None,
+        still: float = 0.0,
     ) -> Data:
-        return prepare_logs(logs, spec, horizon, noise, sign, band, criteria, placed)
+        return prepare_logs(
+            logs, spec, horizon, noise, sign, band, criteria, placed, still
+        )
 
     fit = ready(fitted, noise)
     found = resolve(every, len(fitted), spec, fit, ready, criteria)
     fitted, others = found.logs[: len(fitted)], found.logs[len(fitted) :]
-    fit, notes = found.fit, found.notes
+    fit, notes, still = found.fit, found.notes, found.still
     sign = -1.0 if runs_backward(fit, criteria) else 1.0
     if sign < 0:
-        fit = ready(fitted, fit.noise, sign)
+        fit = ready(fitted, fit.noise, sign, still=still)
         way = "P pushes toward positive v"
         if not spec.layout.driven:
             way = "friction makes F negative where v is positive"
@@ -324,11 +330,13 @@ def _prepared(
             f"rig's sign ({way}), so it was inverted; write "
             "invert = true under [channels] of the rig file",
         )
-    check = ready(others, fit.noise, sign) if others else fit
+    check = ready(others, fit.noise, sign, still=still) if others else fit
     said = (*notes, *fit.notes, *check.notes)
     fit = replace(fit, notes=tuple(dict.fromkeys(said)))
     spec = over_travel(spec, fit.travel)
-    own = Preparation(spec, horizon, fit.noise, sign, band, criteria, found.smoothed)
+    own = Preparation(
+        spec, horizon, fit.noise, sign, band, criteria, found.smoothed, still
+    )
     return Case(
         spec, fit, check, fitted, others or fitted, bool(others), own,
         own.data(tests) if tests else None, tests, as_read, found.noise_by,

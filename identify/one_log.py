@@ -57,11 +57,13 @@ def with_filter_of_one_log(
         return case, ()
     progress("see whether one log's pressures passed a filter")
     given = _left(case, state, logs, ())
-    names = [log.name for log in logs]
-    left = {name: _left(case, state, logs, (name,)) for name in dict.fromkeys(names)}
+    names = tuple(dict.fromkeys(log.name for log in logs))
+    left = {name: _left(case, state, logs, (name,)) for name in names}
     best, floor = min(left, key=lambda name: left[name]), float(np.sum(seen))
-    if left[best] - floor > own.late_leaves * (given - floor):
-        return case, ()
+    # What is late in all logs is the sensors', and takes as much in all of them.
+    for other in (given, _left(case, state, logs, names)):
+        if left[best] - floor > own.late_leaves * (other - floor):
+            return case, ()
     fitted, others, test = case.as_read
     said = (
         f"the pressures of {best} passed a low-pass filter, and those of no other log"

@@ -75,6 +75,7 @@ def prepare_logs(
     band: float | None = None,
     criteria: Criteria = Criteria(),
     placed: Sequence[Log] | None = None,
+    still: float = 0.0,
 ) -> Data:
     """Make logs ready for a replay of the rig.
 
@@ -88,6 +89,8 @@ def prepare_logs(
         criteria: how much is read, and up to which band.
         placed: the same logs with another position, if by that one windows are placed:
             they are compared with its own.
+        still: m that the position may change by, to either side, without friction
+            taking it for motion.
 
     Raises:
         InputError: no motion, nothing to predict, logs that differ in their signals,
@@ -111,7 +114,7 @@ def prepare_logs(
     filtered = np.array([spec.passes_filter(one.name) for one in logs], float)
     own = [f"{log.name}: {note}" for log in logs for note in log.notes]
     return Data(
-        motion=motion(segments, h),
+        motion=motion(segments, h, still),
         windows=windows._replace(filtered=jnp.asarray(filtered[log])),
         P_0=P_0,
         log=log,

@@ -111,6 +111,13 @@ class SensorNoise:
         """The signal smoothed at `cut`."""
         return smooth(t, y, self.cut)(t) if np.isfinite(self.cut) else y
 
+    def left(self, h: float) -> float:
+        """Standard deviation of what smoothing leaves of it, with a row every `h` s."""
+        if not np.isfinite(self.cut):
+            return self.sigma
+        # Of white noise up to 1/(2h), through 1/(1 + (f/cut)^4).
+        return self.sigma * min(1.0, np.sqrt(3 * np.pi / np.sqrt(32) * self.cut * h))
+
     def again(
         self, y: Float[np.ndarray, "rows"], seed: int = 0
     ) -> Float[np.ndarray, "rows"]:

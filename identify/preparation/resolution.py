@@ -58,7 +58,7 @@ class Resolved:
 
     `smoothed` does the same to a log that took no part in it; `noise_by` is the noise
     by another model; `twice` are the logs to fit as they are, and with their position
-    measured once more.
+    measured once more; `still` is that of `prepare_logs`.
     """
 
     logs: tuple[Log, ...]
@@ -67,11 +67,17 @@ class Resolved:
     smoothed: Callable[[Log], Log] = lambda log: log
     noise_by: NoiseBy | None = None
     twice: tuple[Data, Data] | None = None
+    still: float = 0.0
 
 
 WILD = 2.0
 """RMS in a window over that which nine in ten windows stay below, from which a replay
 is taken to have run into an end there."""
+
+AT_REST = 3.0
+"""Standard deviations of what is left of a position's noise within which a piston is
+taken to rest, for friction: a bristle goes by the way that was covered, and forgets on
+the way that noise makes of a rest."""
 
 SHAKEN = 0.1
 """Share of the largest change of position from which a window's counts as one: a sensor
@@ -88,6 +94,7 @@ class Ready(Protocol):
         noise: Float[np.ndarray, "3"],
         sign: float = 1.0,
         placed: Sequence[Log] | None = None,
+        still: float = 0.0,
     ) -> Data:
         """Logs with a noise of their channels, SI."""
         ...
@@ -122,15 +129,22 @@ def resolve(
         found = _drive(logs, spec, criteria)
     if found is None:
         return Resolved(logs, fit)
-    fit = ready(found.logs[:count], found.noise)
+    fit = ready(found.logs[:count], found.noise, still=found.still)
     return Resolved(
-        found.logs, fit, (found.note,), found.change, found.noise_by, found.twice
+        found.logs,
+        fit,
+        (found.note,),
+        found.change,
+        found.noise_by,
+        found.twice,
+        found.still,
     )
 
 
 class Smoothed(NamedTuple):
     """Logs with what drives smoothed, the channels' noise with it, SI, a remark,
-    what smooths another log, the noise by another model, and `twice` of `Resolved`.
+    what smooths another log, the noise by another model, and `twice` and `still` of
+    `Resolved`.
     """
 
     logs: tuple[Log, ...]
@@ -139,6 +153,7 @@ class Smoothed(NamedTuple):
     change: Callable[[Log], Log]
     noise_by: NoiseBy | None = None
     twice: tuple[Data, Data] | None = None
+    still: float = 0.0
 
 
 def _position(
@@ -162,6 +177,8 @@ def _position(
         return _moved(log, spec, sensor_noise.smoothed, criteria)
 
     smoothed = tuple(map(change, logs))
+    tick = float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
+    ready = partial(ready, still=AT_REST * sensor_noise.left(tick))
     again = _drawn_again(logs, smoothed, spec, sensor_noise, criteria)
     # Where a chamber is short the same noise moves its pressure further, so that logs
     # that took no part may be left with more of it than those that are fitted.
@@ -198,7 +215,15 @@ def _position(
     extra = np.clip(extra, found, criteria.distorted * found)
     note = _position_note(sensor_noise, noise, extra)
     twice = both[0][0], both[0][1]
-    return Smoothed(smoothed, np.hypot(noise, extra), note, change, noise_by, twice)
+    return Smoothed(
+        smoothed,
+        np.hypot(noise, extra),
+        note,
+        change,
+        noise_by,
+        twice,
+        ready.keywords["still"],
+    )
 
 
 def _drawn_again(

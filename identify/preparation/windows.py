@@ -93,9 +93,9 @@ def spread_runs(
     return kept_rows, kept
 
 
-def motion(segments: list[Segment], h: float) -> Motion:
+def motion(segments: list[Segment], h: float, still: float = 0.0) -> Motion:
     """What friction and the command's path follow through whole segments, whose ticks
-    last about `h` s.
+    last about `h` s; for friction without what a position moves within `still` m.
     """
     n = max(s.t.size for s in segments)
     u = [np.pad(s.u, (0, n - s.t.size), mode="edge") for s in segments]
@@ -106,7 +106,7 @@ def motion(segments: list[Segment], h: float) -> Motion:
         step = np.diff(s.t)
         parts = np.arange(QUARTERS + 1) / QUARTERS
         x = s.place(s.t[:-1, None] + step[:, None] * parts)
-        dx[k, : step.size] = np.diff(x, axis=1)
+        dx[k, : step.size] = np.diff(at_rest(x, still) if still else x, axis=1)
         ticks[k, : step.size] = step
         first = np.abs(dx[k, : max(int(0.2 / h), 2)])
         speed[k] = first.sum() / (first.shape[0] * h)
@@ -118,6 +118,31 @@ def motion(segments: list[Segment], h: float) -> Motion:
         jnp.asarray(np.array(a)) for a in (u, dx, ticks, speed, v, F)
     )
     return Motion(u, runs_on, dx, ticks, speed, v, F, (one, two))
+
+
+def at_rest(
+    x: Float[np.ndarray, "ticks parts"], still: float
+) -> Float[np.ndarray, "ticks parts"]:
+    """Positions along ticks, each ending where the next begins, that rest as long as
+    they stay within `still` to either side, m.
+
+    The mean of two plays, one run forward and one backward: a long motion stays where
+    it is, and loses `still` where it turns round.
+    """
+    path = np.append(x[:, :-1].ravel(), x[-1, -1])
+    both = [_played(path, still), _played(path[::-1], still)[::-1]]
+    mean = np.mean(both, axis=0)
+    parts = x.shape[1] - 1
+    return np.column_stack([mean[:-1].reshape(-1, parts), mean[parts::parts]])
+
+
+def _played(path: Float[np.ndarray, "n"], half: float) -> Float[np.ndarray, "n"]:
+    """What follows a path behind a play of twice `half`."""
+    at, out = float(path[0]), []
+    for low, high in zip((path - half).tolist(), (path + half).tolist(), strict=True):
+        at = min(max(at, low), high)
+        out.append(at)
+    return np.array(out)
 
 
 def _past(s: Segment, first: int, pre: int) -> tuple[np.ndarray, np.ndarray]:

@@ -63,15 +63,42 @@ def search_effects(state: Tracing) -> Tracing:
 
 
 def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> Tracing:
+    """What is found one by one; or, where that leaves something of the force, without
+    the first of it, if others helped then and that leaves less.
+
+    The first may have stood in for two: friction of another kind for friction that does
+    not fade at rest and changes with the position.
+    """
+    found, first = _one_by_one(state, effects, noise)
+    above = found.check.rms(found.errors) > found.criteria.at_noise * noise
+    if not first or not (np.isfinite(noise[2]) and above[2]):
+        return found
+    found.progress(f"look again without {first}")
+    rest = {n: e for n, e in effects.items() if n != first}
+    other, _ = _one_by_one(state, rest, noise)
+    by = found.criteria.beyond_chance
+    if not better(other.errors, found.errors, noise, by):
+        return found
+    scores = {first: found.scores[first], **other.scores}
+    return replace(other, scores=scores, tried={**other.tried, first: "exchanged"})
+
+
+def _one_by_one(
+    state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray
+) -> tuple[Tracing, str]:
     """Effects one by one, until none is left that helps, nor does better than one that
     was added while others were still missing. Several at once take the place of the
-    first.
+    first. And the name of the first, if others helped beside it; else nothing.
     """
-    begun, rounds = state, state.criteria.rounds
+    begun, rounds, first = state, state.criteria.rounds, ""
     for left in reversed(range(rounds + 1)):
         more = _scored_round(state, effects, noise) if left else state
         added = len(more.added) > len(state.added)
         if left == rounds:
+            known = {a.name for a in begun.added}
+            helped = [n for n, how in more.tried.items() if how == "helps"]
+            others = added and len(set(helped) - known) > 1
+            first = more.added[-1].name if others else ""
             several = _or_several(begun, more, effects, noise)
             if several is not more:
                 # Each was chosen before the others were there.
@@ -88,7 +115,7 @@ def _stage(state: Tracing, effects: Mapping[str, Effect], noise: np.ndarray) -> 
             state = at_other_ends(more, noise)
         if state is more:
             break
-    return state
+    return state, first
 
 
 def _or_several(

@@ -22,6 +22,7 @@ from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.preparation.data import prepare_logs
 from hydrojax.identify.preparation.noise import SensorNoise, sensor_noise_of
 from hydrojax.identify.preparation.resolution import _largest
+from hydrojax.identify.preparation.windows import at_rest
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log, brought_forward
 from hydrojax.rigfile.schema import RigFile
@@ -221,6 +222,65 @@ def test_windows_are_placed_by_another_position_if_one_is_given(recorded):
 
 
 @pytest.mark.slow
+def ticks_of(path, parts=4):
+    """A path's samples along ticks of some parts, each beginning where one ended."""
+    path = np.asarray(path)
+    starts = np.arange(0, len(path) - 1, parts)
+    return path[starts[:, None] + np.arange(parts + 1)]
+
+
+def test_a_piston_rests_as_long_as_it_stays_within_its_noise():
+    noise = 1e-6 * np.random.default_rng(0).normal(size=4001)
+    x = ticks_of(0.1 + np.clip(noise, -3e-6, 3e-6))
+    still = at_rest(x, 3e-6)
+    assert np.sum(np.abs(np.diff(still, axis=1))) < 8e-6
+    assert np.sum(np.abs(np.diff(x, axis=1))) > 1e-3
+    np.testing.assert_array_equal(still[1:, 0], still[:-1, -1])
+    assert np.max(np.abs(still - x)) <= 6e-6
+
+
+def test_a_long_way_stays_what_it_was_and_a_turn_is_cut_short():
+    half = 5e-6
+    up = np.linspace(0.0, 1e-3, 401)
+    path = np.concatenate([up, up[-2::-1]])
+    moved = at_rest(ticks_of(path), half)
+    inside = ticks_of((path > 3 * half) & (path < 1e-3 - 3 * half)).all(axis=1)
+    np.testing.assert_allclose(moved[inside], ticks_of(path)[inside], atol=1e-12)
+    assert np.max(moved) == pytest.approx(1e-3 - half, abs=1e-9)
+    assert np.all(np.diff(moved[:100].ravel()) >= 0)
+
+
+def test_what_smoothing_leaves_of_white_noise():
+    """Beside what a smoothed draw has."""
+    h, cut = 5e-3, 12.0
+    t = h * np.arange(40_000)
+    noise = SensorNoise(1e-5, 0.0, cut)
+    left = noise.smoothed(t, noise.again(np.zeros(t.size)))
+    assert noise.left(h) == pytest.approx(np.std(left), rel=0.05)
+    assert SensorNoise(1e-5, 0.0, np.inf).left(h) == 1e-5
+
+
+def test_a_bristle_does_not_forget_on_the_noise_of_a_rest():
+    """Behind 6 um of it, through 5 s: the bristle of 0.4 mm stays where it was bent."""
+    fine, h = 4, 5e-3
+    draw = np.random.default_rng(1)
+    slow = signal.butter(2, 12.0, fs=fine / h, output="sos")
+    noise = signal.sosfiltfilt(slow, draw.normal(size=20 * 200 * fine + 1))
+    x = 1e-3 + 6e-6 * noise / np.std(noise)
+    x[:2000] = np.linspace(0.0, x[2000], 2000)
+
+    def bent(path, z_ss=4e-4):
+        z = 0.0
+        for dx in np.diff(path):
+            z += dx - abs(dx) * z / z_ss
+        return z / z_ss
+
+    assert bent(x[:2001]) > 0.9
+    assert bent(x) < 0.5
+    path = at_rest(ticks_of(x), 3 * 6e-6)
+    assert bent(np.append(path[:, :-1].ravel(), path[-1, -1])) > 0.85
+
+
 def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
     case = coarse_case(tmp_path, monkeypatch, 23)
     np.testing.assert_array_equal(case.fit.noise, [9e3, 9e3, 2.5])
