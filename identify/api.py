@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -104,7 +104,7 @@ def _problems(
 
 def _fit_base(
     problem: Problem, free: tuple[str, ...], starts: int, progress: Progress, path: str
-) -> tuple[Problem, np.ndarray, Problem, FitPoint]:
+) -> _Base:
     """Fit the declared model: where its pressures stood, and where all of it does.
 
     Raises:
@@ -181,54 +181,9 @@ def trace_case(
     began = time.perf_counter()
     check_drive(case)
     compiled = _Compiling()
-    given = case
     with ThreadPoolExecutor(1) as pool:
-        ready = _Ready.of(given, pool)
-
-        def traced(
-            case: Case, found: Findings
-        ) -> tuple[Case, Findings, FitPoint, Tracing]:
-            own = ready if case is given else _Ready.of(case, pool)
-            base = own.fitted(case, starts, progress)
-            at = (*base[2:], own.free, progress)
-            later = with_delay_replayed(case, given.spec, found, *at)
-            if later is found:
-                later = with_command_between(case, found, *at)
-            if later is not found:
-                case, found = mended_case(given, later)
-                own = _Ready.of(case, pool)
-                base = own.fitted(case, starts, progress)
-
-            def question(state: Tracing) -> None:
-                at = (state.problem, state.point, state.free, progress)
-                later = with_command_between(case, found, *at)
-                if later is not found:
-                    raise _MistakenError(later)
-
-            try:
-                state = own.searched(case, base, progress, question)
-            except _MistakenError as mistaken:
-                return traced(*mended_case(given, mistaken.found))
-            return case, found, base[3], state
-
-        progress("check the inputs")
-        seen = check_inputs(case.spec, case.read_logs).found
-        case, found, point, state = traced(*mended_case(given, seen))
-        later = with_late_signal(case, found, state, progress)
-        if later is not found:
-            case, found, point, state = traced(*mended_case(given, later))
-        later = with_supply_of_gains(case, found, state, progress)
-        if later is not found:
-            other = traced(*mended_case(given, later))
-            if simpler_and_no_worse(state, other[3]):
-                case, found, point, state = other
-        one, said_of_it = with_filter_of_one_log(case, state, progress)
-        if one is not case:
-            other = traced(one, found)
-            if any(a.name == FILTER for a in other[3].added):
-                case, found, point, state = other
-            else:
-                said_of_it = ()
+        traces = _Traces(case, starts, progress, pool, _Ready.of(case, pool))
+        (case, found, point, state), said_of_it = traces.to_the_end()
     outcome = _outcome("trace", case, state, point, progress, profile)
     outcome = replace(outcome, limits=(*said_of_it, *outcome.limits))
 
@@ -240,6 +195,101 @@ def trace_case(
             case, outcome, identify, progress, lambda now: early(case, said(now))
         )
     )
+
+
+class _Traced(NamedTuple):
+    """A trace: the case as it was, what was found in its inputs, where the declared
+    model's fit stands, and where the search ended.
+    """
+
+    case: Case
+    found: Findings
+    point: FitPoint
+    state: Tracing
+
+
+@dataclass(frozen=True)
+class _Traces:
+    """A case traced, and again with inputs that read otherwise.
+
+    Attributes:
+        given: the case as it was given.
+        starts: of the first fit.
+        progress: is called with a line of text.
+        pool: compiles programs ahead.
+        ready: the case, ready to be traced.
+    """
+
+    given: Case
+    starts: int
+    progress: Progress
+    pool: ThreadPoolExecutor
+    ready: _Ready
+
+    def to_the_end(self) -> tuple[_Traced, tuple[str, ...]]:
+        """The trace, its inputs as they turned out to be; and what is said of a filter
+        of one log.
+        """
+        now = self.first()
+        later = with_late_signal(now.case, now.found, now.state, self.progress)
+        if later is not now.found:
+            now = self.again(later)
+        later = with_supply_of_gains(now.case, now.found, now.state, self.progress)
+        if later is not now.found:
+            other = self.again(later)
+            if simpler_and_no_worse(now.state, other.state):
+                now = other
+        one, said = with_filter_of_one_log(now.case, now.state, self.progress)
+        if one is not now.case:
+            other = self.searched(one, now.found, *self.fitted(one))
+            if any(a.name == FILTER for a in other.state.added):
+                return other, said
+        return now, ()
+
+    def first(self) -> _Traced:
+        """The first: the inputs are checked, and then the declared model's replays say
+        what balances of flow know less well.
+        """
+        self.progress("check the inputs")
+        seen = check_inputs(self.given.spec, self.given.read_logs).found
+        case, found = mended_case(self.given, seen)
+        own, base = self.fitted(case)
+        at = (*base[2:], own.free, self.progress)
+        later = with_delay_replayed(case, self.given.spec, found, *at)
+        if later is found:
+            later = with_command_between(case, found, *at)
+        if later is not found:
+            return self.again(later)
+        return self.searched(case, found, own, base)
+
+    def again(self, found: Findings) -> _Traced:
+        """The case traced with these findings mended in it."""
+        case, found = mended_case(self.given, found)
+        return self.searched(case, found, *self.fitted(case))
+
+    def fitted(self, case: Case) -> tuple[_Ready, _Base]:
+        """A case made ready, and the declared model's fit."""
+        own = self.ready if case is self.given else _Ready.of(case, self.pool)
+        return own, own.fitted(case, self.starts, self.progress)
+
+    def searched(
+        self, case: Case, found: Findings, own: _Ready, base: _Base
+    ) -> _Traced:
+        """The trace from there on; from its beginning, if what it adds shows an input
+        to be at fault.
+        """
+
+        def question(state: Tracing) -> None:
+            at = (state.problem, state.point, state.free, self.progress)
+            later = with_command_between(case, found, *at)
+            if later is not found:
+                raise _MistakenError(later)
+
+        try:
+            state = own.searched(case, base, self.progress, question)
+        except _MistakenError as mistaken:
+            return self.again(mistaken.found)
+        return _Traced(case, found, base[3], state)
 
 
 def _timed(outcome: Outcome, began: float, compiled: _Compiling) -> Outcome:
@@ -255,6 +305,10 @@ class _MistakenError(Exception):
     def __init__(self, found: Findings):
         super().__init__()
         self.found = found
+
+
+_Base = tuple[Problem, np.ndarray, Problem, FitPoint]
+"""Where the declared model's pressures stood, and where all of it does."""
 
 
 @dataclass(frozen=True)
@@ -283,9 +337,7 @@ class _Ready:
         ahead = tuple(pool.submit(evaluate, values) for evaluate in needed)
         return cls(problem, check, free, effects, ahead)
 
-    def fitted(
-        self, case: Case, starts: int, progress: Progress
-    ) -> tuple[Problem, np.ndarray, Problem, FitPoint]:
+    def fitted(self, case: Case, starts: int, progress: Progress) -> _Base:
         """The declared model's fit, as `_fit_base` gives it."""
         path = case.spec.path
         base = _fit_base(self.problem, self.free, starts, progress, path)
@@ -296,7 +348,7 @@ class _Ready:
     def searched(
         self,
         case: Case,
-        base: tuple[Problem, np.ndarray, Problem, FitPoint],
+        base: _Base,
         progress: Progress,
         question: Callable[[Tracing], None],
     ) -> Tracing:

@@ -49,6 +49,10 @@ MOVES = 4
 LATE = ("pressure_sensor_lag", "channel_skew", "loadcell_lag")
 """Effects by which a reading comes late."""
 
+WITHIN = 0.1
+"""Share of a step of the logs to which a delay is found by fits of what a trace found.
+"""
+
 SAME = 0.1
 """Moves within which the delay is what it was."""
 
@@ -140,7 +144,10 @@ def with_late_position(
     if not late or best - floor > own.late_leaves * (given - floor):
         return found
     around = (late / 2 * tick, min(2 * late * tick, LATEST))
-    return (*found, late_position(case.spec, name, least(error, around, tick / 2)[0]))
+    return (
+        *found,
+        late_position(case.spec, name, least(error, around, WITHIN * tick)[0]),
+    )
 
 
 def with_command_between(
@@ -255,8 +262,8 @@ def with_early_position(
 
     error = _Error(case, state.problem, refitted, name, state.noise)
     given = replace(error, refitted=lambda _: state.point.values)(0.0)
-    most = 2 * state.named["pressure_sensor_lag.tau_P"]
-    early, left = least(error, (-min(most, LATEST), 0.0), _tick(case) / 4)
+    ends = (-min(2 * state.named["pressure_sensor_lag.tau_P"], LATEST), 0.0)
+    early, left = least(error, ends, WITHIN * _tick(case))
     if left > (1 + state.criteria.matters) ** 2 * given:
         return found
     return (*found, late_position(case.spec, name, early))

@@ -177,8 +177,9 @@ def _position(
         return _moved(log, spec, sensor_noise.smoothed, criteria)
 
     smoothed = tuple(map(change, logs))
-    tick = float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
-    ready = partial(ready, still=AT_REST * sensor_noise.left(tick))
+    tick = np.median(np.concatenate([np.diff(log.time) for log in logs]))
+    still = AT_REST * sensor_noise.left(float(tick))
+    ready = partial(ready, still=still)
     again = _drawn_again(logs, smoothed, spec, sensor_noise, criteria)
     # Where a chamber is short the same noise moves its pressure further, so that logs
     # that took no part may be left with more of it than those that are fitted.
@@ -215,15 +216,8 @@ def _position(
     extra = np.clip(extra, found, criteria.distorted * found)
     note = _position_note(sensor_noise, noise, extra)
     twice = both[0][0], both[0][1]
-    return Smoothed(
-        smoothed,
-        np.hypot(noise, extra),
-        note,
-        change,
-        noise_by,
-        twice,
-        ready.keywords["still"],
-    )
+    whole = np.hypot(noise, extra)
+    return Smoothed(smoothed, whole, note, change, noise_by, twice, still)
 
 
 def _drawn_again(
