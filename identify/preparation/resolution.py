@@ -177,12 +177,10 @@ def _position(
         return _moved(log, spec, sensor_noise.smoothed, criteria)
 
     smoothed = tuple(map(change, logs))
-    tick = np.median(np.concatenate([np.diff(log.time) for log in logs]))
-    still = AT_REST * sensor_noise.left(float(tick))
+    still = AT_REST * sensor_noise.left(_tick(logs))
     ready = partial(ready, still=still)
     again = _drawn_again(logs, smoothed, spec, sensor_noise, criteria)
-    # Where a chamber is short the same noise moves its pressure further, so that logs
-    # that took no part may be left with more of it than those that are fitted.
+    # A short chamber answers it more: logs that took no part may have more of it.
     both = [
         (
             ready(smoothed[own], noise),
@@ -218,6 +216,11 @@ def _position(
     twice = both[0][0], both[0][1]
     whole = np.hypot(noise, extra)
     return Smoothed(smoothed, whole, note, change, noise_by, twice, still)
+
+
+def _tick(logs: Sequence[Log]) -> float:
+    """The logs' median step, s."""
+    return float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
 
 
 def _drawn_again(
