@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from hydrojax.identify.preparation.segments import Segment
 from hydrojax.plant.replay import Motion, Windows
@@ -43,6 +44,10 @@ the length of the log."""
 
 BEYOND = 20
 """Ticks after the last window of a run that its splines are given."""
+
+REST = 0.2
+"""Seconds from which a piston that hardly moves is at rest: one that turns round does
+so in a tenth of that or less."""
 
 QUARTERS = 4
 """Steps of the bristle per tick."""
@@ -106,7 +111,9 @@ def motion(segments: list[Segment], h: float, still: float = 0.0) -> Motion:
         step = np.diff(s.t)
         parts = np.arange(QUARTERS + 1) / QUARTERS
         x = s.place(s.t[:-1, None] + step[:, None] * parts)
-        dx[k, : step.size] = np.diff(at_rest(x, still) if still else x, axis=1)
+        dx[k, : step.size] = np.diff(x, axis=1)
+        if still:
+            dx[k, : step.size] = at_rest(dx[k, : step.size], still, round(REST / h))
         ticks[k, : step.size] = step
         first = np.abs(dx[k, : max(int(0.2 / h), 2)])
         speed[k] = first.sum() / (first.shape[0] * h)
@@ -121,23 +128,33 @@ def motion(segments: list[Segment], h: float, still: float = 0.0) -> Motion:
 
 
 def at_rest(
-    x: Float[np.ndarray, "ticks parts"], still: float
+    dx: Float[np.ndarray, "ticks parts"], still: float, rest: int
 ) -> Float[np.ndarray, "ticks parts"]:
-    """Positions along ticks, each ending where the next begins, that rest as long as
-    they stay within `still` to either side, m.
+    """Displacements along ticks without what a piston at rest is moved by noise.
 
-    The mean of two plays, one run forward and one backward: a long motion stays where
-    it is, and loses `still` where it turns round.
+    It rests where it stays within `still` to either side, m, for `rest` ticks or more;
+    there its displacement is what comes through a play as wide. Elsewhere, and where it
+    only turns round, it stays as it is.
     """
-    path = np.append(x[:, :-1].ravel(), x[-1, -1])
-    both = [_played(path, still), _played(path[::-1], still)[::-1]]
-    mean = np.mean(both, axis=0)
-    parts = x.shape[1] - 1
-    return np.column_stack([mean[:-1].reshape(-1, parts), mean[parts::parts]])
+    path = np.concatenate([[0.0], np.cumsum(dx)])
+    size = rest * dx.shape[1]
+    # Of the samples from each on.
+    span = maximum_filter1d(path, size, origin=-(size // 2))
+    span -= minimum_filter1d(path, size, origin=-(size // 2))
+    begins = np.nonzero(span[: len(path) - size + 1] <= 2 * still)[0]
+    rests = np.zeros(len(path), int)
+    np.add.at(rests, begins, 1)
+    np.add.at(rests, begins + size - 1, -1)
+    moves = np.diff(path)
+    inside = np.cumsum(rests)[:-1] > 0
+    edges = np.flatnonzero(np.diff(np.pad(inside, 1).astype(int)))
+    for begin, end in edges.reshape(-1, 2):
+        moves[begin:end] = np.diff(_played(path[begin : end + 1], still))
+    return moves.reshape(dx.shape)
 
 
 def _played(path: Float[np.ndarray, "n"], half: float) -> Float[np.ndarray, "n"]:
-    """What follows a path behind a play of twice `half`."""
+    """What follows a path behind a play of twice `half`, from its middle on."""
     at, out = float(path[0]), []
     for low, high in zip((path - half).tolist(), (path + half).tolist(), strict=True):
         at = min(max(at, low), high)

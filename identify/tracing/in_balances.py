@@ -22,6 +22,7 @@ from hydrojax.identify.tracing.grids import (
     own_fits,
     shape_starts,
 )
+from hydrojax.identify.tracing.judge import negligible
 from hydrojax.identify.tracing.state import Added, Tracing, free_names
 from hydrojax.plant.effect import Effect
 
@@ -66,7 +67,12 @@ def together(state: Tracing, effects: Mapping[str, Effect]) -> Iterator[Tracing]
         if search is None:
             return
         found = found_along(state, effects, search)
-        fits = [(name, fit) for name, own_fits in found.items() for fit in own_fits]
+        fits = [
+            (name, fit)
+            for name, own_fits in found.items()
+            for fit in own_fits
+            if not negligible(search.problem, fit.values, effects[name])
+        ]
         if not fits:
             return
         name, fit = min(fits, key=lambda f: f[1].left)

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
@@ -102,11 +101,13 @@ def worsened(
     return bool(np.any(sure & (rms > by[seen])))
 
 
-def negligible(problem: Problem, point: FitPoint, effect: Effect) -> bool:
+def negligible(
+    problem: Problem, values: Float[np.ndarray, "n"], effect: Effect
+) -> bool:
     """Whether none of an effect's strengths came out above the least that is it."""
     names = problem.model.names
     return all(
-        abs(point.values[names.index(f"{effect.name}.{field}")]) <= s.minimum
+        abs(values[names.index(f"{effect.name}.{field}")]) <= s.minimum
         for field, s in specs(effect).items()
         if s.strength
     )

@@ -259,7 +259,7 @@ def _round(
         after = state.check.errors_at(point.values)
         by = may_rise(state, [effects[s.name]], noise)
         tried[s.name] = judge(state, before, after, noise, by)
-        if negligible(problem, point, effects[s.name]):
+        if negligible(problem, point.values, effects[s.name]):
             tried[s.name] = "too small"
         spoils = tried[s.name] == "spoils another channel"
         spent += tried[s.name] == "helps" or not (spoils or s.name in ahead)

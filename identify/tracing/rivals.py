@@ -56,7 +56,7 @@ def pruned(state: Tracing, noise: Float[np.ndarray, "3"], fresh: int = 1) -> Tra
 def shed(state: Tracing) -> Tracing:
     """The state without effects that a later fit has brought to nothing."""
     for name in [a.name for a in state.added]:
-        if negligible(state.problem, state.point, state.effects[name]):
+        if negligible(state.problem, state.point.values, state.effects[name]):
             state.progress(f"let go of {name}")
             less = taken_out(state, name)
             state = replace(less, tried={**less.tried, name: "too small"})
