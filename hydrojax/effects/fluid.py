@@ -25,9 +25,10 @@ Given where it is wholly open they would be known only from logs that open it so
 SHUT = 1e-3
 """How far, over that, a counterbalance valve that is shut still opens: what leaks."""
 
-RELIEF = (3e6, 5.5e6, 9e6, 1.5e7, 2.5e7)
+RELIEF = (5.5e6, 9e6, 1.5e7, 2.5e7)
 """Settings (Pa) from which a relief valve is looked for: one just below the highest
-pressure of a log shows it, and one above that has no derivative."""
+pressure of a log shows it, one above that has no derivative, and one below all of it is
+a leakage."""
 
 
 def _lost_in_line(
@@ -93,8 +94,9 @@ class PressureCompensation(SupplyEffect):
     name = "pressure_compensation"
     needs = ("u",)
     residual_axis = "P_s"
+    # Up to 0.07 is what the flow's force on a spool does to its opening.
     s: Float[Array, ""] = param(
-        "1", 0.0, 0.0, 1.3, "share of the drop", strength=True, size=0.1
+        "1", 0.0, 0.0, 1.3, "share of the drop", strength=True, size=0.1, minimum=0.1
     )
     dP_0: Float[Array, ""] = param(
         "Pa", 7e5, 1e5, 3e6, "margin", grid=(4e5, 1e6), prior=5e5
@@ -229,10 +231,10 @@ class PortRelief(FlowEffect):
         size=1e-12,
     )  # fmt: skip
     P_set1: Float[Array, ""] = param(
-        "Pa", 1.5e7, 1e6, 4.5e7, "setting, chamber 1", grid=RELIEF
+        "Pa", 1.5e7, 2.5e6, 4.5e7, "setting, chamber 1", grid=RELIEF
     )
     P_set2: Float[Array, ""] = param(
-        "Pa", 1.5e7, 1e6, 4.5e7, "setting, chamber 2", grid=RELIEF
+        "Pa", 1.5e7, 2.5e6, 4.5e7, "setting, chamber 2", grid=RELIEF
     )
 
     def flow(self, at):
