@@ -310,7 +310,7 @@ class FlowCurve(CommandChannel):
         "1", 0.0, -1.0, 1.0, "share of the curve", strength=True, size=0.1
     )
     p: Float[Array, ""] = param(
-        "1", 2.5, 1.2, 5.0, "exponent of the curve", grid=(1.6, 3.0), prior=1.0
+        "1", 2.5, 1.02, 5.0, "exponent of the curve", grid=(1.6, 3.0), prior=1.0
     )
 
     def step(self, memory, u, h):
