@@ -94,7 +94,7 @@ class PressureCompensation(SupplyEffect):
     name = "pressure_compensation"
     needs = ("u",)
     residual_axis = "P_s"
-    # Up to 0.07 is what the flow's force on a spool does to its opening.
+    # Less is what the flow's force on a spool does (`benchmarks.trace`).
     s: Float[Array, ""] = param(
         "1", 0.0, 0.0, 1.3, "share of the drop", strength=True, size=0.1, minimum=0.1
     )

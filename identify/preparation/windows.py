@@ -113,7 +113,8 @@ def motion(segments: list[Segment], h: float, still: float = 0.0) -> Motion:
         x = s.place(s.t[:-1, None] + step[:, None] * parts)
         dx[k, : step.size] = np.diff(x, axis=1)
         if still:
-            dx[k, : step.size] = at_rest(dx[k, : step.size], still, round(REST / h))
+            rest = max(round(REST / h), 1)
+            dx[k, : step.size] = at_rest(dx[k, : step.size], still, rest)
         ticks[k, : step.size] = step
         first = np.abs(dx[k, : max(int(0.2 / h), 2)])
         speed[k] = first.sum() / (first.shape[0] * h)
@@ -141,7 +142,8 @@ def at_rest(
     # Of the samples from each on.
     span = maximum_filter1d(path, size, origin=-(size // 2))
     span -= minimum_filter1d(path, size, origin=-(size // 2))
-    begins = np.nonzero(span[: len(path) - size + 1] <= 2 * still)[0]
+    whole = max(len(path) - size + 1, 0)  # a piece may be shorter than a rest
+    begins = np.nonzero(span[:whole] <= 2 * still)[0]
     rests = np.zeros(len(path), int)
     np.add.at(rests, begins, 1)
     np.add.at(rests, begins + size - 1, -1)

@@ -221,7 +221,6 @@ def test_windows_are_placed_by_another_position_if_one_is_given(recorded):
     assert not np.array_equal(placed.motion.dx, one.motion.dx)
 
 
-@pytest.mark.slow
 def along_ticks(path, parts=4):
     """A path's displacements along ticks of some parts."""
     return np.diff(path).reshape(-1, parts)
@@ -287,6 +286,16 @@ def test_a_bristle_does_not_forget_on_the_noise_of_a_rest():
     assert bent(at_rest(dx, 3 * 6e-6, 40)) > 0.85
 
 
+@pytest.mark.parametrize("ticks", [1, 5, 39, 40])
+def test_a_piece_shorter_than_a_rest_is_as_it_was(ticks):
+    """Gaps leave such pieces, in which no window lies."""
+    dx = 1e-7 * np.random.default_rng(0).normal(size=(ticks, 4))
+    if ticks < 40:
+        np.testing.assert_allclose(at_rest(dx, 3e-6, 40), dx, atol=1e-18)
+    assert at_rest(dx, 3e-6, 40).shape == dx.shape
+
+
+@pytest.mark.slow
 def test_a_fine_encoder_is_left_alone(tmp_path, monkeypatch):
     case = coarse_case(tmp_path, monkeypatch, 23)
     np.testing.assert_array_equal(case.fit.noise, [9e3, 9e3, 2.5])
