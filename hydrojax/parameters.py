@@ -43,8 +43,8 @@ class Spec:
         size: a strength's typical magnitude, for scaling.
         minimum: magnitude of a strength below which the effect is too fast or too
             small to be identified from a log.
-        whole: whether it is a share whose largest value, 1, is all there can be: no
-            range could be wider.
+        whole: whether the ends of its range are all there can be: no range could be
+            wider. A share is 0 or 1 there, air is isothermal or adiabatic.
         outside: how files and reports show the value, if not as it is stored: the
             reciprocal under this name and unit.
     """

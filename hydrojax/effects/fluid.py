@@ -272,7 +272,9 @@ class EntrainedAir(ComplianceEffect):
     alpha: Float[Array, ""] = param(
         "1", 0.0, 0.0, 0.3, "air content at 1 atm", strength=True, size=2e-3
     )
-    n: Float[Array, ""] = param("1", 1.2, 1.0, 1.4, "polytropic exponent", prior=0.1)
+    n: Float[Array, ""] = param(
+        "1", 1.2, 1.0, 1.4, "polytropic exponent", prior=0.1, whole=True
+    )
 
     def compliance(self, P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Compliance beside 1/beta at gauge pressure `P`, 1/Pa."""

@@ -11,11 +11,13 @@ from hydrojax.parameters import param, spread
 from hydrojax.plant.effect import (
     CommandChannel,
     CommandDelay,
+    LastingChannel,
     OrificeEffect,
     ReturnEdgeEffect,
     Spool,
     SpoolLimit,
 )
+from hydrojax.plant.friction import run_stop
 
 QUEUE = 16
 """Ticks of command that a delay holds in a plant that steps, unless told otherwise: it
@@ -93,7 +95,7 @@ class ValveBias(CommandChannel):
         return memory, u + self.u_0
 
 
-class ValveHysteresis(CommandChannel):
+class ValveHysteresis(LastingChannel):
     """Play (V7): the output follows only where `abs(u - output)` exceeds `u_h`."""
 
     name = "valve_hysteresis"
@@ -111,6 +113,14 @@ class ValveHysteresis(CommandChannel):
 
     def init(self, u):
         return u, 0 * u
+
+    def follow(self, u):
+        moves = -jnp.diff(u) / jnp.maximum(self.u_h, LEAST)
+        begun = 0 * u[..., :1]
+        return jnp.concatenate([begun, run_stop(moves, 1.0, begun[..., 0])], axis=-1)
+
+    def resume(self, memory, state):
+        return memory[0], state
 
     def step(self, memory, u, h):
         # Followed is how far the output is from the command, over the play: at u_h = 0
@@ -307,7 +317,7 @@ class FlowCurve(CommandChannel):
         default=1.0, converter=lambda x: jnp.asarray(x, float)
     )
     k: Float[Array, ""] = param(
-        "1", 0.0, -1.0, 1.0, "share of the curve", strength=True, size=0.1
+        "1", 0.0, -1.0, 1.0, "share of the curve", strength=True, size=0.1, whole=True
     )
     p: Float[Array, ""] = param(
         "1", 2.5, 1.02, 5.0, "exponent of the curve", grid=(1.6, 3.0), prior=1.0

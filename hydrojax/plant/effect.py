@@ -81,6 +81,22 @@ class CommandDelay(CommandChannel):
         raise NotImplementedError
 
 
+class LastingChannel(CommandChannel):
+    """A channel that forgets nothing while the command moves little, however long.
+
+    A replay begins anew every so many ticks, from what `follow` says of all before:
+    `resume(memory, state)` is the memory that goes on from there.
+    """
+
+    def follow(self, u: Float[Array, "*batch n"]) -> Float[Array, "*batch n"]:
+        """Its state after each of `n` steps under a held command."""
+        raise NotImplementedError
+
+    def resume(self, memory, state: Float[Array, "*batch"]):
+        """The memory at rest, in another state."""
+        raise NotImplementedError
+
+
 class SpoolLimit(CommandChannel):
     """A limit of a rate: `slowness() -> s/{u}`, 1 over it, zero for none.
 

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Lines, Point, refilled
-from hydrojax.plant.effect import CommandDelay, SpoolLimit
+from hydrojax.plant.effect import CommandDelay, LastingChannel, SpoolLimit
 from hydrojax.plant.friction import Sliding, run_linear, run_stop
 from hydrojax.plant.hydraulics import follow_drops, pressure_step, settled_drops
 from hydrojax.plant.rig import PARTS, Rig, mean_opening
@@ -199,8 +199,7 @@ def _commands(rig: Rig, motion: Motion, cut: Cut) -> tuple[Rig, Held, Held]:
     late = [c for c in rig.command if isinstance(c, CommandDelay)]
     rest = tuple(c for c in rig.command if not isinstance(c, CommandDelay))
     rig = eqx.tree_at(lambda r: r.command, rig, rest, is_leaf=_is_tuple)
-    slow = any(isinstance(c, SpoolLimit) for c in rig.command)
-    steps = SLOW_STEPS if slow else STEPS
+    slow, steps = _steps(rig) is SLOW_STEPS, _steps(rig)
     pre, ticks = steps[-1][0], steps[-1][0] + cut.size
     index = cut.first[:, None] + np.arange(-pre, cut.size)
     own = jnp.clip(index, 0, motion.h.shape[1] - 1)
@@ -278,6 +277,7 @@ def openings(rig: Rig, motion: Motion, cut: Cut | None = None) -> Opened:
     """
     segments, ticks = motion.h.shape
     own = _whole(segments, ticks) if cut is None else cut
+    late = sum(c.lag() for c in rig.command if isinstance(c, CommandDelay))
     rig, ahead, held = _commands(rig, motion, own)
 
     def warm(memory, held):
@@ -286,12 +286,36 @@ def openings(rig: Rig, motion: Motion, cut: Cut | None = None) -> Opened:
     def follow(memory, held):
         return _through(rig, memory, *held)
 
+    # Steps of several ticks are too coarse for what forgets nothing: it begins twice.
+    begin = own.first - _steps(rig)[-1][0]
     memory = rig.command_init(ahead[0][0][..., 0])
+    memory = _resumed(rig, memory, motion, own.seg, begin, late)
     memory, _ = jax.lax.scan(warm, memory, ahead)
+    memory = _resumed(rig, memory, motion, own.seg, own.first, late)
     opened = tuple(o.T for o in scan_in_blocks(follow, memory, held))
     if cut is not None:
         return opened
     return tuple(o.reshape(segments, -1)[:, :ticks] for o in opened)
+
+
+def _resumed(
+    rig: Rig, memory: tuple, motion: Motion, seg, tick, late: Float[Array, ""] | float
+) -> tuple:
+    """The memories ahead of ticks of segments, of what forgets nothing as it is after
+    all that the command did before them; it comes `late` s late.
+    """
+    tick = jnp.clip(tick - 1, 0)
+    at = jnp.clip(tick - jnp.ceil(late / motion.h[seg, tick]).astype(int), 0)
+    return tuple(
+        c.resume(m, c.follow(motion.u)[seg, at]) if isinstance(c, LastingChannel) else m
+        for c, m in zip(rig.command, memory, strict=True)
+    )
+
+
+def _steps(rig: Rig) -> tuple[tuple[int, int], ...]:
+    """The steps in which the path is run ahead of a stretch."""
+    slow = any(isinstance(c, SpoolLimit) for c in rig.command)
+    return SLOW_STEPS if slow else STEPS
 
 
 def _whole(segments: int, ticks: int) -> Cut:

@@ -60,7 +60,11 @@ class Rig(eqx.Module):
 
     def command_init(self, u: Float[Array, "*batch"]) -> tuple:
         """Memories of the command's path at rest under `u`."""
-        return tuple(c.init(u) for c in self.command)
+        memories = []
+        for channel in self.command:
+            memories.append(channel.init(u))
+            _, u = channel.step(memories[-1], u, jnp.ones_like(u))
+        return tuple(memories)
 
     def command_parts(
         self,

@@ -173,13 +173,16 @@ def _position(
     if sensor_noise is None or not _matters(sensor_noise, rig, fit, criteria):
         return None
 
+    def of(log: Log) -> SensorNoise:
+        return _noise_of(log, spec, sensor_noise, criteria)
+
     def change(log: Log) -> Log:
-        return _moved(log, spec, sensor_noise.smoothed, criteria)
+        return _moved(log, spec, of(log).smoothed, criteria)
 
     smoothed = tuple(map(change, logs))
-    still = AT_REST * sensor_noise.left(_tick(logs))
+    still = AT_REST * max(of(log).left(_tick([log])) for log in logs)
     ready = partial(ready, still=still)
-    again = _drawn_again(logs, smoothed, spec, sensor_noise, criteria)
+    again = _drawn_again(smoothed, tuple(map(of, logs)), spec, criteria)
     # A short chamber answers it more: logs that took no part may have more of it.
     both = [
         (
@@ -224,33 +227,30 @@ def _tick(logs: Sequence[Log]) -> float:
 
 
 def _drawn_again(
-    logs: tuple[Log, ...],
     smoothed: tuple[Log, ...],
+    noises: tuple[SensorNoise, ...],
     spec: RigFile,
-    common: SensorNoise,
     criteria: Criteria,
 ) -> list[tuple[Log, ...]]:
     """The smoothed logs with their position measured once more, as often as counts."""
-    each = tuple(_noise_of_each(logs, spec, common, criteria))
     return [
         tuple(
             _moved(log, spec, partial(_again, own, seed), criteria)
-            for log, own in zip(smoothed, each, strict=True)
+            for log, own in zip(smoothed, noises, strict=True)
         )
         for seed in range(criteria.position_draws)
     ]
 
 
-def _noise_of_each(
-    logs: Sequence[Log], spec: RigFile, common: SensorNoise, criteria: Criteria
-) -> Iterator[SensorNoise]:
-    """The position's noise of every log, in size its own: some are noisier than what
-    all are smoothed for.
+def _noise_of(
+    log: Log, spec: RigFile, common: SensorNoise, criteria: Criteria
+) -> SensorNoise:
+    """The position's noise of a log, in size its own, and where to smooth it: some are
+    noisier than others, and a fast motion reaches beyond where a slow one has ended.
     """
-    for log in logs:
-        pieces = _stretches([log], lambda log: position(log, spec), criteria)
-        own = sensor_noise_of(pieces, criteria) or common
-        yield replace(common, sigma=own.sigma)
+    pieces = _stretches([log], lambda log: position(log, spec), criteria)
+    own = sensor_noise_of(pieces, criteria)
+    return replace(own, step=common.step) if own else common
 
 
 def _brought(

@@ -349,13 +349,13 @@ def _candidates(
 
 def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
     """Free parameters that stand at an end of their range; not what is absent there,
-    nor a share of which there can be no more.
+    nor what can be no more or less.
     """
     specs, free = parameter_specs(state.problem.model.rig), state.problem.free
     added = [state.effects[a.name] for a in state.added]
     meant = {n for e in added for n in strengths(e) if state.named[n] == 0.0}
-    shares = {n for e in added for n in free_names(e) if is_whole(free[n], specs[n])}
-    meant |= {n for n in shares if state.named[n] in (0.0, 1.0)}
+    whole = {n for n in state.free if is_whole(free[n], specs[n])}
+    meant |= {n for n in whole if state.named[n] in (specs[n].lower, specs[n].upper)}
     return tuple(n for n in state.free if n in uncertainty.ends and n not in meant)
 
 

@@ -425,3 +425,59 @@ def test_a_command_that_runs_on_is_a_straight_line_between_ticks(rig, drive, lat
     got = openings(rig, motion)
     spool = np.asarray(got[0] - got[1] if late else got[0])[0]
     assert np.allclose(spool, middles, rtol=0, atol=2e-3)
+
+
+def played(u, u_h):
+    """The output of a play of half-width `u_h`, from rest in its middle."""
+    out, y = [], u[0]
+    for now in u:
+        y = min(max(y, now - u_h), now + u_h)
+        out.append(y)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("late", [0, 30])
+@pytest.mark.parametrize("biased", [0.0, 0.2])
+def test_a_play_forgets_nothing_while_the_command_creeps(rig, drive, late, biased):
+    """A lever that comes to rest: for thousands of ticks it moves by less than a play,
+    which has to know from which side it came.
+    """
+    h, u_h, n = 2e-3, 0.01, 9000
+    begins, ends = (0.0, 0.5, 0.2), (0.5, 0.2, 0.21)
+    u = np.concatenate([
+        end - (end - begin) * np.exp(-np.arange(n // 3) / 250)
+        for begin, end in zip(begins, ends, strict=True)
+    ])  # fmt: skip
+    loose = add(
+        rig,
+        [EFFECTS["valve_delay"](tau_u=late * h)] * bool(late)
+        + [EFFECTS["valve_bias"](u_0=biased), EFFECTS["valve_hysteresis"](u_h=u_h)],
+    )
+    motion = drive().motion._replace(
+        u=u[None], h=np.full((1, n - 1), h), runs_on=np.zeros(1)
+    )
+    up, down = openings(loose, motion)
+    delayed = np.concatenate([np.full(late, u[0]), u[: n - late]])
+    off = np.abs(np.asarray(up - down)[0] - (played(delayed, u_h) + biased)[:-1])
+    assert np.max(off) < 1e-9
+    assert n > 10 * STRETCH
+
+
+def test_the_width_of_a_play_moves_the_opening_as_differences_say(rig, drive):
+    h, n = 2e-3, 4000
+    u = 0.3 * np.exp(-np.arange(n) / 900) + 0.01 * np.sin(np.arange(n) / 300)
+    motion = drive().motion._replace(
+        u=u[None], h=np.full((1, n - 1), h), runs_on=np.zeros(1)
+    )
+
+    def opened(u_h):
+        loose = add(rig, [EFFECTS["valve_hysteresis"](u_h=u_h)])
+        up, down = openings(loose, motion)
+        return up - down
+
+    at, step = 0.008, 1e-6
+    slope = jax.jvp(opened, (jnp.asarray(at),), (jnp.asarray(1.0),))[1]
+    between = (opened(at + step) - opened(at - step)) / (2 * step)
+    # Where the play is taken up between two ticks the two differ for a tick.
+    assert np.mean(np.abs(slope - between) > 1e-6) < 0.01
+    assert np.ptp(between) > 0.5
