@@ -116,8 +116,8 @@ class ValveHysteresis(LastingChannel):
 
     def follow(self, u):
         moves = -jnp.diff(u) / jnp.maximum(self.u_h, LEAST)
-        begun = 0 * u[..., :1]
-        return jnp.concatenate([begun, run_stop(moves, 1.0, begun[..., 0])], axis=-1)
+        begun, one = 0 * u[..., :1], jnp.ones(())
+        return jnp.concatenate([begun, run_stop(moves, one, begun[..., 0])], axis=-1)
 
     def resume(self, memory, state):
         return memory[0], state

@@ -165,11 +165,10 @@ def _position(
     criteria: Criteria,
 ) -> Smoothed | None:
     """Smooth the position; None where its noise does not show."""
-    noise = fit.noise
+    noise, rig = fit.noise, build_rig(spec)
     sensor_noise = sensor_noise_of(
         _stretches(logs, lambda log: position(log, spec), criteria), criteria
     )
-    rig = build_rig(spec)
     if sensor_noise is None or not _matters(sensor_noise, rig, fit, criteria):
         return None
 
@@ -179,10 +178,10 @@ def _position(
     def change(log: Log) -> Log:
         return _moved(log, spec, of(log).smoothed, criteria)
 
-    smoothed = tuple(map(change, logs))
-    still = AT_REST * max(of(log).left(_tick([log])) for log in logs)
+    smoothed, noises = tuple(map(change, logs)), tuple(map(of, logs))
+    still = AT_REST * max(b.left(_tick(logs)) for b in noises)
     ready = partial(ready, still=still)
-    again = _drawn_again(smoothed, tuple(map(of, logs)), spec, criteria)
+    again = _drawn_again(smoothed, noises, spec, criteria)
     # A short chamber answers it more: logs that took no part may have more of it.
     both = [
         (
@@ -205,8 +204,7 @@ def _position(
     # How far the position moves the channels depends on what the rig is: that of the
     # file may be off, and one fitted without what it lacks may be distorted.
     problem = problem_of(both[0][0])
-    start = problem.initial_values()
-    extra = brought(problem, start)
+    extra = brought(problem, start := problem.initial_values())
     if not np.isfinite(extra[np.isfinite(noise)]).all():
         return None  # the fit will say that the model has no finite answer
     data = ready(smoothed[:count], np.hypot(noise, extra))
@@ -215,8 +213,7 @@ def _position(
     found = brought(problem, values)
     found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, criteria.distorted * found)
-    note = _position_note(sensor_noise, noise, extra)
-    twice = both[0][0], both[0][1]
+    note, twice = _position_note(sensor_noise, noise, extra), (both[0][0], both[0][1])
     whole = np.hypot(noise, extra)
     return Smoothed(smoothed, whole, note, change, noise_by, twice, still)
 

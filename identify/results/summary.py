@@ -47,7 +47,7 @@ from hydrojax.identify.results.unexplained import (
 from hydrojax.identify.tracing.loop import status
 from hydrojax.identify.tracing.score import family
 from hydrojax.identify.tracing.screen import size_that_matters
-from hydrojax.identify.tracing.state import Tracing, free_names, strengths
+from hydrojax.identify.tracing.state import Tracing, strengths
 from hydrojax.parameters import parameter_specs
 from hydrojax.rigfile.schema import SUPPLY
 

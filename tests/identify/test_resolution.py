@@ -21,8 +21,9 @@ from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.preparation.data import prepare_logs
 from hydrojax.identify.preparation.noise import SensorNoise, sensor_noise_of
-from hydrojax.identify.preparation.resolution import _largest
+from hydrojax.identify.preparation.resolution import _largest, _noise_of
 from hydrojax.identify.preparation.windows import at_rest
+from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
 from hydrojax.logs.log import Log, brought_forward
 from hydrojax.rigfile.schema import RigFile
@@ -351,6 +352,32 @@ def test_logs_near_an_end_are_judged_by_the_noise_there(tmp_path, monkeypatch):
     brought = [np.sqrt(c.fit.noise[:2] ** 2 - 9e3**2) for c in (case, moved)]
     ratio = np.sort(brought[1] / brought[0])
     assert 0.9 < ratio[0] < 1.1 and 1.5 < ratio[1] < 2.7
+
+
+def test_a_log_is_smoothed_where_its_own_motion_ends(recorded):
+    """A lever's slow motion, and beside it a shaker's: one cut for both would take the
+    shaking off, and what it moves would pass for noise of all logs.
+    """
+    folder = recorded(1)
+    spec = RigFile.load(folder / "rig.toml")
+    log = Log.load(folder / "fit_1.csv")
+    radius, t, draw = spec.geometry["radius"], log.time, np.random.default_rng(5)
+    slow = 9e-3 * np.sin(2 * np.pi * 0.4 * t)
+    logs, truths = [], [slow, slow + 1e-4 * np.sin(2 * np.pi * 60 * t)]
+    for x in truths:
+        psi = (x + 5e-6 * draw.normal(size=t.size)) / radius
+        logs.append(replace(log, signals=log.signals | {"psi": psi}))
+    pieces = [(t, radius * each.signals["psi"]) for each in logs]
+    common = sensor_noise_of(pieces)
+    own = [_noise_of(each, spec, common, Criteria()) for each in logs]
+    left = [
+        [np.sqrt(np.mean((by.smoothed(*piece) - x) ** 2)) for by in (mine, common)]
+        for mine, piece, x in zip(own, pieces, truths, strict=True)
+    ]
+    assert own[0].cut < common.cut < own[1].cut
+    assert all(mine < shared for mine, shared in left)
+    assert max(mine for mine, _ in left) < 0.5 * max(shared for _, shared in left)
+    assert [b.sigma for b in own] == pytest.approx([5e-6, 5e-6], rel=0.1)
 
 
 @pytest.mark.slow
