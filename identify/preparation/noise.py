@@ -121,14 +121,30 @@ class SensorNoise:
     def again(
         self, y: Float[np.ndarray, "rows"], seed: int = 0
     ) -> Float[np.ndarray, "rows"]:
-        """The signal measured once more by such a sensor."""
+        """The signal measured once more by such a sensor.
+
+        Where it passes a step in a row, no more is known of it than that: little or not
+        smoothed it stands near the steps, and would be rounded to the same.
+        """
         draw = np.random.default_rng(seed)
         rounding = self.step**2 / 12
         y = y + np.sqrt(max(self.sigma**2 - rounding, 0.0)) * draw.normal(size=y.size)
         if not self.step:
             return y
         offset = draw.uniform()
-        return (np.round(y / self.step + offset) - offset) * self.step
+        steps = (y if np.isfinite(self.cut) else _without_steps(y)) / self.step
+        passed = np.minimum(np.abs(np.gradient(steps)), 1.0)
+        within = steps + passed * draw.uniform(-0.5, 0.5, y.size) + offset
+        return y + (np.round(within) - within) * self.step
+
+
+def _without_steps(y: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
+    """A rounded signal as a line between the middles of its steps."""
+    ahead = np.flatnonzero(np.diff(y))
+    if not ahead.size:
+        return y
+    middles = (y[ahead] + y[ahead + 1]) / 2
+    return np.interp(np.arange(y.size), ahead + 0.5, middles)
 
 
 def sensor_noise_of(

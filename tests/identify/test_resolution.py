@@ -155,6 +155,22 @@ def test_a_sensor_that_rounds_its_own_noise_is_measured_again_alike(share):
     assert np.std(again - MOTION) == pytest.approx(np.std(read - MOTION), rel=0.15)
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("cut", [np.inf, 300.0])
+def test_a_rounded_reading_is_rounded_otherwise_the_next_time(cut, seed):
+    """Readings that are hardly smoothed stand at the steps: rounded once more, they
+    would be the same, or off by a whole step where arithmetic decides.
+    """
+    step = 2e-6
+    read = step * np.round(MOTION / step)
+    sensor = SensorNoise(step / math.sqrt(12), step, cut)
+    seen = sensor.smoothed(TIME, read)
+    off = sensor.again(seen, seed) - seen
+    assert np.std(off) == pytest.approx(step / math.sqrt(12), rel=0.15)
+    rest = np.zeros(400)
+    assert np.ptp(sensor.again(rest, seed)) == 0
+
+
 def test_motion_without_a_floor_has_no_noise():
     """What falls all the way to the end of the spectrum."""
     rough = np.cumsum(np.random.default_rng(2).normal(size=TIME.size)) * 1e-6
