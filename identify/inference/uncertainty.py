@@ -194,7 +194,7 @@ def _covariance(
 def _at_end(name: str, end: str, own: Free, spec: Spec) -> str:
     if end == "lower" and own.lower == 0.0:
         return f"{name} ended at 0: the fit finds none of it in these logs"
-    if end == "upper" and is_whole(own, spec):
+    if end == "upper" and is_whole(own, spec) and spec.upper == 1.0:
         return f"{name} ended at 1: these logs show all of it"
     widest = own.upper >= spec.upper if end == "upper" else own.lower <= spec.lower
     mend = ", the widest that its model is meant for" if widest else "; widen the range"

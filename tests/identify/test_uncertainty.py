@@ -5,9 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hydrojax.effects import EFFECTS
 from hydrojax.identify.estimation.known import Free
-from hydrojax.identify.inference.uncertainty import Uncertainty, _covariance, _sorted
+from hydrojax.identify.inference.uncertainty import (
+    Uncertainty,
+    _at_end,
+    _covariance,
+    _sorted,
+)
+from hydrojax.identify.results.summary import _at_ends
 from hydrojax.identify.tracing.criteria import Criteria
+from hydrojax.parameters import parameter_specs
+from hydrojax.plant.rig import add
 
 
 def covariance(columns, residual, priors, scale):
@@ -81,3 +90,31 @@ def test_what_no_log_shows_gets_no_deviation_from_what_moves_the_rest():
     rest = np.ix_([0, 2], [0, 2])
     assert np.allclose(wide.covariance[rest], (C + by @ by.T)[rest])
     assert wide.covariance[1, 1] == C[1, 1] and wide.limits == own.limits
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "lower", "said", "words"),
+    [
+        ("entrained_air.n", 1.4, 1.0, False, "the widest that its model is meant for"),
+        ("entrained_air.n", 1.1, 1.1, True, "widen the range"),
+        ("flow_curve.k", 1.0, -1.0, False, "these logs show all of it"),
+        ("flow_curve.p", 5.0, 1.02, True, "the widest that its model is meant for"),
+    ],
+)
+def test_what_can_be_no_more_is_not_called_out(rig, name, value, lower, said, words):
+    """Air that is adiabatic, and a valve that opens by its curve alone."""
+    effect = name.partition(".")[0]
+    dressed = add(rig, [EFFECTS[effect]()])
+    spec = parameter_specs(dressed)[name]
+    own = Free(spec.default, lower, spec.upper)
+    state = SimpleNamespace(
+        problem=SimpleNamespace(model=SimpleNamespace(rig=dressed), free={name: own}),
+        effects={effect: EFFECTS[effect]()},
+        added=(SimpleNamespace(name=effect),),
+        free=(name,),
+        named={name: value, "entrained_air.alpha": 0.01, "flow_curve.k": 1.0},
+    )
+    ends = Uncertainty({name: None}, frozenset((name,)), (), (), (), np.zeros((0, 0)))
+    assert _at_ends(state, ends) == ((name,) if said else ())
+    end = "upper" if value >= spec.upper else "lower"
+    assert words in _at_end(name, end, own, spec)
