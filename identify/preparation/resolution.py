@@ -213,7 +213,7 @@ def _position(
     found = brought(problem, values)
     found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, criteria.distorted * found)
-    note, twice = _position_note(sensor_noise, noise, extra), (both[0][0], both[0][1])
+    note, twice = _position_note(noises, noise, extra), (both[0][0], both[0][1])
     whole = np.hypot(noise, extra)
     return Smoothed(smoothed, whole, note, change, noise_by, twice, still)
 
@@ -270,9 +270,9 @@ def _brought(
 
 
 def _position_note(
-    sensor_noise: SensorNoise, noise: np.ndarray, extra: np.ndarray
+    noises: Sequence[SensorNoise], noise: np.ndarray, extra: np.ndarray
 ) -> str:
-    """What is said of the position's noise; `extra` is what it brings, SI."""
+    """What is said of the position's noise in the logs; `extra` is what it brings."""
     moves = ", ".join(
         f"{name} by {size / per:.2g} {unit}"
         for name, size, per, unit in zip(
@@ -281,9 +281,9 @@ def _position_note(
         if np.isfinite(noise[CHANNELS.index(name)])
     )
     return (
-        f"the position is known to {1e6 * sensor_noise.sigma:.2g} um: "
-        f"{_said(sensor_noise)} by a first fit, what is left of its noise moves "
-        f"{moves} RMS; that, or what the model found says, is counted into their noise"
+        f"the position is known to {1e6 * np.median([b.sigma for b in noises]):.2g} "
+        f"um: {_said(noises)} by a first fit, what is left of its noise moves {moves} "
+        "RMS; that, or what the model found says, is counted into their noise"
     )
 
 
@@ -342,7 +342,7 @@ def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Smoothed
     known = ", ".join(f"{n} by {b.sigma / 1e3:.2g} kPa" for n, b in noises.items())
     note = (
         f"the pressures drive, and are noisy ({known}): "
-        f"{_said(min(noises.values(), key=lambda b: b.cut))} what is left moves F by "
+        f"{_said([min(noises.values(), key=lambda b: b.cut)])} what is left moves F by "
         f"{np.sqrt(square - own**2):.2g} N RMS, which is counted into its noise"
     )
 
@@ -355,10 +355,13 @@ def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Smoothed
     return Smoothed(logs, noise, note, change)
 
 
-def _said(sensor_noise: SensorNoise) -> str:
-    if np.isinf(sensor_noise.cut):
+def _said(noises: Sequence[SensorNoise]) -> str:
+    """Where signals are smoothed, each at its own frequency."""
+    cuts = [f"{b.cut:.0f}" for b in sorted(noises, key=lambda b: b.cut)]
+    cuts = [cut for cut in cuts if cut != "inf"]
+    if not cuts:
         return "smoothing would not help;"
-    return f"smoothed above {sensor_noise.cut:.0f} Hz;"
+    return f"smoothed above {' to '.join(dict.fromkeys((cuts[0], cuts[-1])))} Hz;"
 
 
 def _smoothed(log: Log, name: str, change: Change, criteria: Criteria) -> Log:

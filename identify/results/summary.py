@@ -355,7 +355,9 @@ def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
     added = [state.effects[a.name] for a in state.added]
     meant = {n for e in added for n in strengths(e) if state.named[n] == 0.0}
     whole = {n for n in state.free if is_whole(free[n], specs[n])}
-    meant |= {n for n in whole if state.named[n] in (specs[n].lower, specs[n].upper)}
+    for n in whole:
+        if np.any(np.isclose(state.named[n], (specs[n].lower, specs[n].upper))):
+            meant.add(n)
     return tuple(n for n in state.free if n in uncertainty.ends and n not in meant)
 
 
