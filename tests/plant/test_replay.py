@@ -436,8 +436,7 @@ def played(u, u_h):
     return np.array(out)
 
 
-@pytest.mark.parametrize("late", [0, 30])
-@pytest.mark.parametrize("biased", [0.0, 0.2])
+@pytest.mark.parametrize(("late", "biased"), [(0, 0.0), (30, 0.2)])
 def test_a_play_forgets_nothing_while_the_command_creeps(rig, drive, late, biased):
     """A lever that comes to rest: for thousands of ticks it moves by less than a play,
     which has to know from which side it came.
