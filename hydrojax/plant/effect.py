@@ -85,7 +85,9 @@ class LastingChannel(CommandChannel):
     """A channel that forgets nothing while the command moves little, however long.
 
     A replay begins anew every so many ticks, from what `follow` says of all before:
-    `resume(memory, state)` is the memory that goes on from there.
+    `resume(memory, state)` is the memory that goes on from there. `follow` sees the
+    command as it was logged ({u}): what stands ahead of the channel may delay or shift
+    it, and no more.
     """
 
     def follow(self, u: Float[Array, "*batch n"]) -> Float[Array, "*batch n"]:

@@ -299,7 +299,12 @@ def openings(rig: Rig, motion: Motion, cut: Cut | None = None) -> Opened:
 
 
 def _resumed(
-    rig: Rig, memory: tuple, motion: Motion, seg, tick, late: Float[Array, ""] | float
+    rig: Rig,
+    memory: tuple,
+    motion: Motion,
+    seg: Int[Array | np.ndarray, "stretches"],
+    tick: Int[Array | np.ndarray, "stretches"],
+    late: Float[Array, ""] | float,
 ) -> tuple:
     """The memories ahead of ticks of segments, of what forgets nothing as it is after
     all that the command did before them; it comes `late` s late.

@@ -123,8 +123,8 @@ class SensorNoise:
     ) -> Float[np.ndarray, "rows"]:
         """The signal measured once more by such a sensor.
 
-        Where it passes a step in a row, no more is known of it than that: little or not
-        smoothed it stands near the steps, and would be rounded to the same.
+        Where it moves by a step or more from row to row, its place between two steps is
+        drawn: hardly smoothed it stands near them, and would be rounded to the same.
         """
         draw = np.random.default_rng(seed)
         rounding = self.step**2 / 12
