@@ -15,6 +15,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from hydrojax.plant.chambers import Point
 from hydrojax.plant.friction import Sliding
+from hydrojax.plant.scan import in_one_kernel
 
 
 class Effect(eqx.Module):
@@ -465,8 +466,8 @@ class SensorChannel(Effect):
             return self.step(self.init(before, still)[0], now, h)[1]
 
         def one_by_one():
-            ticks = (now.T, h.T)
-            return jax.lax.scan(lambda m, t: self.step(m, *t), memory, ticks)[1].T
+            tick = in_one_kernel(lambda memory, given: self.step(memory, *given))
+            return jax.lax.scan(tick, memory, (now.T, h.T))[1].T
 
         forgets = self.forgets()
         if isinstance(forgets, bool):

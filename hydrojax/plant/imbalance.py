@@ -19,6 +19,7 @@ from hydrojax.plant.replay import (
     openings,
 )
 from hydrojax.plant.rig import Rig
+from hydrojax.plant.scan import in_one_kernel
 
 
 def imbalance(
@@ -98,5 +99,5 @@ def _lines_along(rig: Rig, w: Windows, opened: Opened) -> tuple[Lines, tuple] | 
     own, x = tuple(o[-len(P_1) :] for o in opened), w.x_fine
     at = Point(P_1, P_2, P_s, P_r, own, x[..., x.shape[-1] // 2].T, v, t=t)
     moved = (jnp.diff(w.P_a1, axis=1).T, jnp.diff(w.P_a2, axis=1).T)
-    along = jax.lax.scan(middle, start, (at, w.h.T[:-1], moved))[1]
+    along = jax.lax.scan(in_one_kernel(middle), start, (at, w.h.T[:-1], moved))[1]
     return jax.tree.map(lambda a: a.T, along)

@@ -24,7 +24,7 @@ from hydrojax.plant.effect import CommandDelay, LastingChannel, SpoolLimit
 from hydrojax.plant.friction import Sliding, run_linear, run_stop
 from hydrojax.plant.hydraulics import follow_drops, pressure_step, settled_drops
 from hydrojax.plant.rig import PARTS, Rig, mean_opening
-from hydrojax.plant.scan import scan_in_blocks
+from hydrojax.plant.scan import in_one_kernel, scan_in_blocks
 from hydrojax.plant.state import StepInput
 from hydrojax.plant.turned import Turned, run_turned
 
@@ -290,9 +290,9 @@ def openings(rig: Rig, motion: Motion, cut: Cut | None = None) -> Opened:
     begin = own.first - _steps(rig)[-1][0]
     memory = rig.command_init(ahead[0][0][..., 0])
     memory = _resumed(rig, memory, motion, own.seg, begin, late)
-    memory, _ = jax.lax.scan(warm, memory, ahead)
+    memory, _ = jax.lax.scan(in_one_kernel(warm), memory, ahead)
     memory = _resumed(rig, memory, motion, own.seg, own.first, late)
-    opened = tuple(o.T for o in scan_in_blocks(follow, memory, held))
+    opened = tuple(o.T for o in scan_in_blocks(in_one_kernel(follow), memory, held))
     if cut is not None:
         return opened
     return tuple(o.reshape(segments, -1)[:, :ticks] for o in opened)
@@ -363,12 +363,14 @@ def before_filters(rig: Rig, w: Windows) -> Windows:
     """The windows with P_a1, P_a2 and P_s as they stood ahead of what filtered them,
     and without `dP`, which says no more then.
     """
-    logged = jnp.stack([w.P_a1, w.P_a2, w.P_s], axis=-1)
+    # Signal by signal, so that a caller pays for those alone that it asks for.
+    logged = [w.P_a1, w.P_a2, w.P_s]
     for channel in rig.sensor_P:
-        ahead = channel.ahead(logged, w.dP[..., 0], w.dP[..., 1])
-        passed = jnp.stack([1.0, 1.0, channel.of_supply()])
-        logged = logged + w.filtered[:, None, None] * passed * (ahead - logged)
-    P_a1, P_a2, P_s = jnp.moveaxis(logged, -1, 0)
+        for i, passed in enumerate((1.0, 1.0, channel.of_supply())):
+            ahead = channel.ahead(logged[i], w.dP[:, :, i, 0], w.dP[:, :, i, 1])
+            more = passed * (ahead - logged[i])
+            logged[i] = logged[i] + w.filtered[:, None] * more
+    P_a1, P_a2, P_s = logged
     return w._replace(P_a1=P_a1, P_a2=P_a2, P_s=P_s, dP=jnp.zeros_like(w.dP))
 
 
@@ -407,7 +409,7 @@ def pressures_behind(
     P = (P_0[:, 0], P_0[:, 1])
     start = (line_start(rig, w, opened), P)
     own = tuple(o[-len(inputs.u) :] for o in opened)
-    P_a1, P_a2 = scan_in_blocks(advance, start, (own, inputs))
+    P_a1, P_a2 = scan_in_blocks(in_one_kernel(advance), start, (own, inputs))
     return (
         jnp.concatenate([P_0[:, :1], P_a1.T], axis=1),
         jnp.concatenate([P_0[:, 1:], P_a2.T], axis=1),
@@ -467,7 +469,8 @@ def line_start(rig: Rig, w: Windows, opened: Opened) -> Lines | None:
     w = before_filters(rig, w)
     near = len(opened[0]) - w.x_fine.shape[1]
     far = len(h) - near
-    line = jax.lax.scan(settle, line, (P_1[:far], P_2[:far], h[:far]))[0]
+    early = (P_1[:far], P_2[:far], h[:far])
+    line = jax.lax.scan(in_one_kernel(settle), line, early)[0]
 
     P_1, P_2 = P_1[far:], P_2[far:]
     P_s, P_r, x, v, t = (
@@ -481,7 +484,7 @@ def line_start(rig: Rig, w: Windows, opened: Opened) -> Lines | None:
     def follow(line, tick):
         return follow_line(rig, line, *tick), None
 
-    return jax.lax.scan(follow, line, ticks)[0]
+    return jax.lax.scan(in_one_kernel(follow), line, ticks)[0]
 
 
 def _sense(

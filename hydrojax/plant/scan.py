@@ -1,12 +1,73 @@
-"""Scans over many steps."""
+"""Scans over many steps, and steps that are launched whole."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import PyTree
+from jax.core import Tracer
+from jaxtyping import Array, PyTree
+
+try:
+    from jax.experimental.scheduling_groups import xla_metadata_call
+except ImportError:  # another version of JAX
+    xla_metadata_call = None
+
+
+def in_one_kernel(step: Callable[..., PyTree]) -> Callable[..., PyTree]:
+    """A step of a scan, as one kernel of XLA's on a CPU.
+
+    XLA makes a kernel of every few operations otherwise, and launches them one by one:
+    of a step on a hundred windows that takes longer than what they do. What a caller
+    does with the results is no longer fused with the step, nor is the step worked out
+    anew for it.
+
+    Elsewhere, and where JAX knows no such mark, it is the step itself.
+
+    Args:
+        step: of pytrees of arrays, to pytrees of arrays; vmapped and differentiated
+            forward it stays one kernel.
+    """
+    if xla_metadata_call is None or jax.default_backend() != "cpu":
+        return step
+
+    def call(*args: PyTree) -> PyTree:
+        traced, gives = jax.make_jaxpr(step, return_shape=True)(*args)
+        # What the step closes over is given to the kernel, too, if it is traced.
+        known = [not isinstance(c, Tracer) for c in traced.consts]
+        given = [c for c, k in zip(traced.consts, known, strict=True) if not k]
+        given += jax.tree.leaves(args)
+        empty = [jnp.size(a) == 0 for a in given]
+
+        def whole(*filled: Array) -> list[Array]:
+            left = iter(filled)
+            every = [
+                jnp.zeros_like(a) if e else next(left)
+                for a, e in zip(given, empty, strict=True)
+            ]
+            moved = iter(every)
+            consts = [
+                c if k else next(moved)
+                for c, k in zip(traced.consts, known, strict=True)
+            ]
+            out = jax.core.eval_jaxpr(traced.jaxpr, consts, *moved)
+            return _asking(filled, out)
+
+        marked = xla_metadata_call(whole, inlineable="false", xla_cpu_small_call="true")
+        out = marked(*(a for a, e in zip(given, empty, strict=True) if not e))
+        return jax.tree.unflatten(jax.tree.structure(gives), out)
+
+    return call
+
+
+def _asking(given: Sequence[Array], out: Sequence[Array]) -> list[Array]:
+    """What a step gives, unchanged, in a way that asks for all that it is given: over a
+    kernel with an argument that nothing in it uses XLA ends the process.
+    """
+    each = sum((jnp.ravel(a)[0] * 1.0 for a in given), jnp.zeros(()))
+    never = jnp.isnan(each) & jnp.isinf(each)  # no pass of XLA's knows
+    return [jnp.where(never, each.astype(o.dtype), o) for o in out]
 
 
 def scan_in_blocks(
@@ -36,8 +97,8 @@ def scan_in_blocks(
     blocks = -(-n // size)
 
     def cut(a):
-        index = jnp.minimum(jnp.arange(blocks * size), n - 1)
-        return a[index].reshape(blocks, size, *a.shape[1:])
+        last = jnp.broadcast_to(a[-1:], (blocks * size - n, *a.shape[1:]))
+        return jnp.concatenate([a, last]).reshape(blocks, size, *a.shape[1:])
 
     def block(carry, steps):
         carry, stacked = jax.lax.scan(step, carry, steps)

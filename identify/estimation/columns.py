@@ -130,7 +130,8 @@ def thinned(batch: Batch, most: int) -> Batch:
 
 
 HANDFUL = 32
-"""Windows whose columns are summed side by side: they stay in the processor's cache."""
+"""Windows that pieces of a batch are multiples of. A batch of no more has a program of
+its own, which is not as wide."""
 
 Room = tuple[int, int, int]
 """Windows, segments, and ticks of a segment."""
@@ -146,7 +147,7 @@ def filled(batch: Batch, least: Room = (0, 0, 0)) -> Batch:
     """The batch with copies of its last window that weigh nothing, and standstill after
     its motion: logs of other lengths then find their programs compiled. To the size
     `least`, or larger: windows that only fill up cost next to nothing (see
-    `misfit.in_pieces`). A handful keeps a program of its own, which is not as wide.
+    `misfit.in_pieces`), but for those of no more than `HANDFUL`.
     """
     windows, *room = map(max, room_of(batch), least)
     if len(batch.P_0) <= HANDFUL:

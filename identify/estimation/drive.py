@@ -9,6 +9,7 @@ the cost of a fit hardly grows with its columns.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -40,7 +41,7 @@ from hydrojax.plant.replay import (
     tick_inputs,
 )
 from hydrojax.plant.rig import Rig
-from hydrojax.plant.scan import scan_in_blocks
+from hydrojax.plant.scan import in_one_kernel, scan_in_blocks
 from hydrojax.plant.state import StepInput
 
 
@@ -197,18 +198,17 @@ def _run(
     ticks = len(inputs.h)
     own = tuple(o[-ticks:] for o in opened)
     own_by = tuple(jnp.moveaxis(o[:, -ticks:], 1, 0) for o in opened_by)
-    P_s_by = jnp.moveaxis(P_s_by[sources.of_supply], -1, 0)
+    P_s_by = jnp.moveaxis(P_s_by, -1, 0)
     parts = (inputs.x.shape[-1] - 1) // 2
     leaves, tree = jax.tree.flatten(begun)
     slopes = jnp.stack(jax.tree.leaves(begun_by))  # [state, sources, W]
     theta = tuple(get(rig, sources.flow)) if sources.flow else ()
+    derived = in_one_kernel(partial(_derived, rig, sources.flow, tree))
 
     def substep(carry, given):
         state, slopes = carry
         opening, opening_by, supply_by, part = given
-        state, derivatives = _derived(
-            rig, sources.flow, tree, state, theta, opening, part
-        )
+        state, derivatives = derived(state, theta, opening, part)
         return (state, _carried(derivatives, slopes, opening_by, supply_by)), None
 
     def tick(carry, given):
@@ -266,7 +266,8 @@ def _begin(
     rig: Rig, batch: Batch, sources: _Sources, opened: Opened, opened_by: Opened
 ) -> tuple[tuple, tuple]:
     """The supply's pressure [W, ticks] and the state where the windows begin; and their
-    derivatives by each of the sources, on a first axis.
+    derivatives, of the supply's by `sources.of_supply`, of the state by each of the
+    sources, on a first axis.
     """
     w, names = batch.windows, (*sources.logger, *sources.flow)
     ticks = w.P_s.shape[1]
@@ -274,12 +275,17 @@ def _begin(
     of_mean = batch.supply_noise / np.sqrt(ticks / SUPPLY_BLOCKS)
     at = get(rig, names) if names else jnp.zeros(0)
 
+    def shown(supply):
+        return w._replace(P_s=w.P_s + of_mean * supply[block])
+
+    def drive(of, supply):
+        here = put(rig, sources.logger, of)
+        return before_filters(here, shown(supply)).P_s
+
     def begin(of, P_shift, supply, opened):
-        here = put(rig, names, of)
-        shown = w._replace(P_s=w.P_s + of_mean * supply[block])
-        P_0 = at_start(here, shown, batch.P_0 + P_shift)
-        P_s = before_filters(here, shown).P_s
-        return P_s, ((P_0[:, 0], P_0[:, 1]), line_start(here, shown, opened))
+        here, logged = put(rig, names, of), shown(supply)
+        P_0 = at_start(here, logged, batch.P_0 + P_shift)
+        return (P_0[:, 0], P_0[:, 1]), line_start(here, logged, opened)
 
     def along(e, opened_by):
         own = e[sources.spool :]
@@ -288,11 +294,21 @@ def _begin(
             begin, (at, jnp.zeros(2), jnp.zeros(SUPPLY_BLOCKS), opened), moves
         )
 
+    def along_supply(e):
+        moves = (e[OWN:], e[2:OWN])
+        return jax.jvp(
+            drive, (at[: len(sources.logger)], jnp.zeros(SUPPLY_BLOCKS)), moves
+        )
+
     rest = sources.total - sources.spool
     opened_by = jax.tree.map(
         lambda a: jnp.pad(a, ((0, rest), *[(0, 0)] * (a.ndim - 1))), opened_by
     )
-    return jax.vmap(along, out_axes=(None, 0))(jnp.eye(sources.total), opened_by)
+    state = jax.vmap(along, out_axes=(None, 0))(jnp.eye(sources.total), opened_by)
+    supply = jax.vmap(along_supply, out_axes=(None, 0))(
+        jnp.eye(OWN + len(sources.logger))
+    )
+    return tuple(zip(supply, state, strict=True))
 
 
 def _cut(inputs: StepInput, parts: int) -> StepInput:

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from hydrojax.identify.estimation.columns import (
-    HANDFUL,
     NUISANCE,
     SUPPLY_BLOCKS,
     Basis,
@@ -51,6 +50,9 @@ from hydrojax.programs.compiled import program_of_pytrees
 START_SPREAD = 3e5
 """Prior on a window's initial pressure about its first guess, Pa: wide, it only keeps
 a chamber that no channel sees in place."""
+
+FEW = 8
+"""Windows whose columns are summed side by side: they stay in the processor's cache."""
 
 RUNS_AWAY = 1e3
 """Growth of an error of the initial pressures, RMS over a window, from which its
@@ -107,10 +109,10 @@ def _of_windows(
     def side_by_side(i, windows, P_0, weight):
         own = batch._replace(windows=windows, P_0=P_0, weight=weight)
         pressure = driven_pressures(model, values, directions, own, recalled.spool)
-        # Windows first, as all that is cut into handfuls has them.
+        # Windows first, as all that is cut into groups has them.
         by = jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), pressure.by)
 
-        def handful(_, windows, P_0, weight, P, by):
+        def some(_, windows, P_0, weight, P, by):
             few = batch._replace(windows=windows, P_0=P_0, weight=weight)
             by = jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), by)
             own = pressure._replace(P=P, by=by)
@@ -119,9 +121,9 @@ def _of_windows(
 
         # What only fills a batch up stands at its end.
         real = jnp.clip(jnp.sum(batch.weight > 0) - i * size, 0, len(P_0))
-        handfuls = Span(0, -(-real // HANDFUL))
+        groups = Span(0, -(-real // FEW))
         each = (windows, P_0, weight, pressure.P, by)
-        out = in_pieces(handful, HANDFUL, handfuls, *each, most=len(P_0))
+        out = in_pieces(some, FEW, groups, *each, most=len(P_0))
         return jax.tree.map(lambda a: a[: len(P_0)], out)
 
     return in_pieces(side_by_side, size, span, batch.windows, batch.P_0, batch.weight)

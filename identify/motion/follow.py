@@ -17,6 +17,7 @@ from hydrojax.parameters import get, parameter_specs, put, scales
 from hydrojax.plant import step as plant_step
 from hydrojax.plant.load import Inertia
 from hydrojax.plant.rig import Rig
+from hydrojax.plant.scan import in_one_kernel
 from hydrojax.plant.state import State
 
 
@@ -87,7 +88,7 @@ def follow(
             return state, seen
 
         later = jax.tree.map(lambda row: row[1:], rows)
-        seen = jax.lax.scan(tick, state, (course.inputs, later))[1]
+        seen = jax.lax.scan(in_one_kernel(tick), state, (course.inputs, later))[1]
         return jnp.concatenate([course.measured[:1], seen])
 
     return jax.vmap(one)(course, fresh)
