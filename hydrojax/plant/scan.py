@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jaxtyping import Array, PyTree
 
 try:
@@ -29,34 +30,29 @@ def in_one_kernel(step: Callable[..., PyTree]) -> Callable[..., PyTree]:
         step: of pytrees of arrays, to pytrees of arrays; vmapped and differentiated
             forward it stays one kernel.
     """
-    if xla_metadata_call is None or jax.default_backend() != "cpu":
+    mark = xla_metadata_call
+    if mark is None or jax.default_backend() != "cpu":
         return step
 
     def call(*args: PyTree) -> PyTree:
         traced, gives = jax.make_jaxpr(step, return_shape=True)(*args)
-        # What the step closes over is given to the kernel, too, if it is traced.
-        known = [not isinstance(c, Tracer) for c in traced.consts]
-        given = [c for c, k in zip(traced.consts, known, strict=True) if not k]
-        given += jax.tree.leaves(args)
-        empty = [jnp.size(a) == 0 for a in given]
+        # What the step closes over is given to the kernel, too.
+        every = [*traced.consts, *jax.tree.leaves(args)]
+        varies = [isinstance(a, Tracer) and a.size > 0 for a in every]
 
-        def whole(*filled: Array) -> list[Array]:
-            left = iter(filled)
-            every = [
-                jnp.zeros_like(a) if e else next(left)
-                for a, e in zip(given, empty, strict=True)
+        def whole(*given: Array) -> list[Array]:
+            left = iter(given)
+            filled = [
+                next(left) if v else jnp.zeros_like(a) if isinstance(a, Tracer) else a
+                for a, v in zip(every, varies, strict=True)
             ]
-            moved = iter(every)
-            consts = [
-                c if k else next(moved)
-                for c, k in zip(traced.consts, known, strict=True)
-            ]
-            out = jax.core.eval_jaxpr(traced.jaxpr, consts, *moved)
-            return _asking(filled, out)
+            consts, inputs = filled[: len(traced.consts)], filled[len(traced.consts) :]
+            run = jaxpr_as_fun(ClosedJaxpr(traced.jaxpr, consts))
+            return _asking(given, run(*inputs))
 
-        marked = xla_metadata_call(whole, inlineable="false", xla_cpu_small_call="true")
-        out = marked(*(a for a, e in zip(given, empty, strict=True) if not e))
-        return jax.tree.unflatten(jax.tree.structure(gives), out)
+        given = (a for a, v in zip(every, varies, strict=True) if v)
+        out = mark(whole, inlineable="false", xla_cpu_small_call="true")(*given)
+        return jax.tree.structure(gives).unflatten(out)
 
     return call
 

@@ -304,11 +304,11 @@ def _begin(
     opened_by = jax.tree.map(
         lambda a: jnp.pad(a, ((0, rest), *[(0, 0)] * (a.ndim - 1))), opened_by
     )
-    state = jax.vmap(along, out_axes=(None, 0))(jnp.eye(sources.total), opened_by)
-    supply = jax.vmap(along_supply, out_axes=(None, 0))(
-        jnp.eye(OWN + len(sources.logger))
-    )
-    return tuple(zip(supply, state, strict=True))
+    each = jax.vmap(along, out_axes=(None, 0))
+    state, state_by = each(jnp.eye(sources.total), opened_by)
+    of_supply = jax.vmap(along_supply, out_axes=(None, 0))
+    P_s, P_s_by = of_supply(jnp.eye(OWN + len(sources.logger)))
+    return (P_s, state), (P_s_by, state_by)
 
 
 def _cut(inputs: StepInput, parts: int) -> StepInput:
