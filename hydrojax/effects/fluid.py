@@ -13,6 +13,7 @@ from hydrojax.plant.effect import (
     SupplyEffect,
     VolumeEffect,
 )
+from hydrojax.plant.powers import log, power
 
 P_0 = 101_325.0
 """Atmospheric pressure (Pa): the reference of entrained air."""
@@ -107,7 +108,7 @@ class PressureCompensation(SupplyEffect):
     ) -> Float[Array, "*batch"]:
         """Pressure taken of `available`, Pa; whatever the `conductance` is."""
         over = jnp.maximum(available / self.dP_0, 1.0)
-        taken = -jnp.expm1(-self.s * jnp.log(over))
+        taken = -jnp.expm1(-self.s * log(over))
         return available * jnp.where(available < 0, jnp.minimum(self.s, 1.0), taken)
 
 
@@ -279,4 +280,4 @@ class EntrainedAir(ComplianceEffect):
     def compliance(self, P: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Compliance beside 1/beta at gauge pressure `P`, 1/Pa."""
         p = jnp.maximum(P, 0.0) + P_0
-        return self.alpha * (P_0 / p) ** (1 / self.n) / (self.n * p)
+        return self.alpha * power(P_0 / p, 1 / self.n) / (self.n * p)

@@ -18,6 +18,7 @@ from hydrojax.plant.effect import (
     SpoolLimit,
 )
 from hydrojax.plant.friction import run_stop
+from hydrojax.plant.powers import power
 
 QUEUE = 16
 """Ticks of command that a delay holds in a plant that steps, unless told otherwise: it
@@ -326,7 +327,8 @@ class FlowCurve(CommandChannel):
     def step(self, memory, u, h):
         share = jnp.where(u < 0, -u, u) / self.u_full
         shut = share == 0
-        curve = jnp.where(shut, 0.0, jnp.where(shut, 1.0, share) ** (self.p - 1))
+        curve = power(jnp.where(shut, 1.0, share), self.p - 1)
+        curve = jnp.where(shut, 0.0, curve)
         return memory, u * (1 + self.k * (curve - 1))
 
 

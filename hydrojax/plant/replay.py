@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from hydrojax.plant import stretch
 from hydrojax.plant.chambers import Lines, Point, refilled
-from hydrojax.plant.effect import CommandDelay, LastingChannel, SpoolLimit
+from hydrojax.plant.effect import CommandDelay, LastingChannel, Spool, SpoolLimit
 from hydrojax.plant.friction import Sliding, run_linear, run_stop
 from hydrojax.plant.hydraulics import follow_drops, pressure_step, settled_drops
 from hydrojax.plant.rig import PARTS, Rig, mean_opening
@@ -260,15 +260,45 @@ def _along_steps(
     return area[i] + (u[i] + rise[i] * share / 2) * gone
 
 
+def _parted(rig: Rig) -> tuple[Rig, Rig]:
+    """The rig with what of the command's path has a memory, and what stands ahead of
+    that; and with what stands behind: there no tick asks for the one before it.
+    """
+    memory = rig.command_init(jnp.zeros(()))
+    last = [
+        bool(jax.tree.leaves(m)) or isinstance(c, Spool | SpoolLimit)
+        for c, m in zip(rig.command, memory, strict=True)
+    ]
+    count = len(last) - [*last[::-1], True].index(True)
+    of_edges = any(c.of_the_edges for c in rig.command[:count])
+    if rig.returns and of_edges:  # it has another way for each edge
+        return rig, _with_path(rig, (), ())
+    ahead, behind = rig.command[:count], rig.command[count:]
+    return _with_path(rig, ahead, ()), _with_path(rig, behind, rig.returns)
+
+
+def _with_path(rig: Rig, command: tuple, returns: tuple) -> Rig:
+    """The rig with another path of the command."""
+    new = [command, returns]
+    return eqx.tree_at(lambda r: [r.command, r.returns], rig, new, is_leaf=_is_tuple)
+
+
 def _through(
-    rig: Rig, memory: tuple, goal: Float[Array, "windows parts"], h: Array
-) -> tuple[tuple, tuple[Array, ...]]:
-    """The command's path over one step: its memories, and the opening over it."""
+    rig: Rig, memory: tuple, goal: Float[Array, "stretches parts"], h: Array
+) -> tuple[tuple, tuple[Float[Array, "parts stretches"], ...]]:
+    """The command's path over one step: its memories, and where the spool stands in
+    each part, for each edge that has it elsewhere.
+    """
+
+    def part(memory, u):
+        memory, (ways,) = rig.command_through(memory, [u], h / PARTS)
+        return memory, ways
+
+    if not rig.command:
+        return part(memory, goal.T)
     if goal.shape[-1] == 1:
-        return rig.command_step(memory, goal[..., 0], h)
-    us = [goal[..., i] for i in range(PARTS)]
-    memory, us = rig.command_through(memory, us, h / PARTS)
-    return memory, mean_opening(us)
+        goal = jnp.broadcast_to(goal, (*goal.shape[:-1], PARTS))
+    return jax.lax.scan(part, memory, goal.T)
 
 
 def openings(rig: Rig, motion: Motion, cut: Cut | None = None) -> Opened:
@@ -279,12 +309,25 @@ def openings(rig: Rig, motion: Motion, cut: Cut | None = None) -> Opened:
     own = _whole(segments, ticks) if cut is None else cut
     late = sum(c.lag() for c in rig.command if isinstance(c, CommandDelay))
     rig, ahead, held = _commands(rig, motion, own)
+    bare = not (rig.command or rig.returns) and held[0].shape[-1] == 1
+    rig, behind = _parted(rig)
 
     def warm(memory, held):
         return _through(rig, memory, *held)[0], None
 
     def follow(memory, held):
-        return _through(rig, memory, *held)
+        memory, ways = _through(rig, memory, *held)
+        return memory, (ways, held[1])
+
+    def opened(followed):
+        # All ticks of a block at once.
+        ways, h = followed
+        spools = list(zip(*(jnp.moveaxis(way, 1, 0) for way in ways), strict=True))
+        if behind.command or behind.returns:
+            none = behind.command_init(jnp.zeros(()))
+            us = [own for own, *_ in spools]
+            _, spools = behind.command_through(none, us, h / len(us))
+        return spools[0] if bare else mean_opening(spools)
 
     # Steps of several ticks are too coarse for what forgets nothing: it begins twice.
     begin = own.first - _steps(rig)[-1][0]
@@ -292,10 +335,11 @@ def openings(rig: Rig, motion: Motion, cut: Cut | None = None) -> Opened:
     memory = _resumed(rig, memory, motion, own.seg, begin, late)
     memory, _ = jax.lax.scan(in_one_kernel(warm), memory, ahead)
     memory = _resumed(rig, memory, motion, own.seg, own.first, late)
-    opened = tuple(o.T for o in scan_in_blocks(in_one_kernel(follow), memory, held))
+    found = scan_in_blocks(in_one_kernel(follow), memory, held, opened)
+    found = tuple(o.T for o in found)
     if cut is not None:
-        return opened
-    return tuple(o.reshape(segments, -1)[:, :ticks] for o in opened)
+        return found
+    return tuple(o.reshape(segments, -1)[:, :ticks] for o in found)
 
 
 def _resumed(

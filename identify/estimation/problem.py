@@ -45,13 +45,13 @@ from hydrojax.plant.places import gauge_names
 from hydrojax.plant.replay import Cut
 from hydrojax.plant.rig import Rig
 
-SPARE = ((2, 3), (4, 9), (8, 20), (16, 40))
+SPARE = ((4, 9), (16, 40))
 """Columns kept free for effects that a trace adds (hydraulic, other): the first that
-holds them is taken, so that few programs serve every fit."""
+holds them is taken, so that few programs serve every fit. One more takes longer to
+compile than all fits of a trace save by fewer columns."""
 
-SPARE_OF_PRESSURES = ((4, 3), (8, 9), (16, 20), (16, 40))
-"""The same where no force is compared: machines lack two effects or three, and a second
-program takes longer to compile than all fits of a trace save by fewer columns."""
+SPARE_OF_PRESSURES = ((4, 3), (16, 9), (16, 40))
+"""The same where the rig file has nothing but what moves the pressures."""
 
 KEPT = 4
 """Values for which a problem keeps the residuals."""
@@ -129,7 +129,7 @@ class Problem:
 
     def slots(self, free: Sequence[str]) -> tuple[int, int]:
         """Columns, hydraulic and other, of the program that fits these parameters."""
-        usual = SPARE if self.sees_force else SPARE_OF_PRESSURES
+        usual = SPARE if self.declared[1] else SPARE_OF_PRESSURES
         return self._holding(free, usual)
 
     def most_slots(self, free: Sequence[str]) -> tuple[int, int]:
@@ -141,8 +141,9 @@ class Problem:
     ) -> tuple[int, int]:
         """The first of the usual columns, or of their doubles, that hold `free`.
 
-        Both sides grow together, so that few programs serve every fit; not where no
-        force is compared: hardly any but hydraulic ones are free there.
+        Both sides grow together, so that few programs serve every fit, of the pressures
+        by themselves too; not where the rig file has nothing but what moves these:
+        hardly any but hydraulic ones are free there.
         """
         need = (len(self.side(free, True)), len(self.side(free, False)))
         if len(self.free) == sum(self.declared):
@@ -150,7 +151,7 @@ class Problem:
         larger = ((usual[-1][0] << i, usual[-1][1] << i) for i in range(1, 8))
         sizes = np.add(self.declared, [*usual, *larger])
         first = np.argmax(sizes >= need, axis=0)
-        if self.sees_force:
+        if self.declared[1]:
             first[:] = np.max(first)
         return int(sizes[first[0], 0]), int(sizes[first[1], 1])
 
