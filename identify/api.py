@@ -40,6 +40,7 @@ from hydrojax.identify.late import (
 from hydrojax.identify.longer import with_long_runs
 from hydrojax.identify.motion.predict import check_drive, predict_motion
 from hydrojax.identify.one_log import FILTER, with_filter_of_one_log
+from hydrojax.identify.preparation.segments import has_rod_force
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
 from hydrojax.identify.results.sentence import motion_sentence
@@ -75,6 +76,8 @@ def applicable(case: Case) -> tuple[str, ...]:
         can.add("F")
         if "F" in has:
             can.add("loadcell")
+    if has_rod_force(case.fit_logs[0], case.spec):
+        can.add("rod_force")
     if "radius" in case.spec.geometry:
         can.add("psi")
     if len(set(case.spec.layout.chamber_areas)) > 1:

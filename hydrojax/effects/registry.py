@@ -31,7 +31,7 @@ Own = TypeVar("Own", bound=Effect)
 GROUP = "hydrojax.effects"
 """Entry points under which a package offers effects: a class, or a module of them."""
 
-NEEDS = ("u", "F", "loadcell", "P_a1", "P_a2", "psi")
+NEEDS = ("u", "F", "loadcell", "rod_force", "P_a1", "P_a2", "psi")
 """What an effect may need of a log."""
 
 

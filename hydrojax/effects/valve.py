@@ -118,7 +118,9 @@ class ValveHysteresis(LastingChannel):
     def follow(self, u):
         moves = -jnp.diff(u) / jnp.maximum(self.u_h, LEAST)
         begun, one = 0 * u[..., :1], jnp.ones(())
-        return jnp.concatenate([begun, run_stop(moves, one, begun[..., 0])], axis=-1)
+        return jnp.concatenate(
+            [begun, run_stop(moves[None], one, begun[..., 0])], axis=-1
+        )
 
     def resume(self, memory, state):
         return memory[0], state

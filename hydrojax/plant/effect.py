@@ -23,9 +23,9 @@ class Effect(eqx.Module):
 
     `name` is what files and reports call it; `place` is where in a rig it acts;
     `needs` what log and rig must have for it to show (signals, "loadcell" for a logged
-    F, "differential" for a cylinder of two areas, as machines have, "edges" for a valve
-    of four metering edges); `residual_axis` the signal against which its residual
-    stands out.
+    F, "rod_force" for that or both pressures, "differential" for a cylinder of two
+    areas, as machines have, "edges" for a valve of four metering edges);
+    `residual_axis` the signal against which its residual stands out.
     """
 
     name: ClassVar[str]
@@ -271,12 +271,13 @@ class ComplianceEffect(Effect):
 class StretchEffect(Effect):
     """Lets the piston stand apart from the encoder: `stretch(F) -> m`, rising with F.
 
-    Chambers and friction see the piston. In a replay the logged force drives it; in
-    simulation the plant's own.
+    Chambers and friction see the piston. In a replay the logged force drives it, or
+    what the logged pressures push with where there is none; in simulation the plant's
+    own.
     """
 
     place = "stretch"
-    needs = ("u", "loadcell")
+    needs = ("u", "rod_force")
     residual_axis = "F"
 
     def stretch(self, F: Float[Array, "*batch"]) -> Float[Array, "*batch"]:

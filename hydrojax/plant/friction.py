@@ -192,37 +192,46 @@ class Friction(eqx.Module):
 
 
 def run_stop(
-    moves: Float[Array, "*batch n"],
+    moves: Float[Array, "parts *batch n"],
     reach: Float[Array, ""],
     start: Float[Array, "*batch"],
 ) -> Float[Array, "*batch n"]:
-    """All states of the stop operator `w -> clip(w + move, -reach, reach)`.
+    """All states of the stop operator `w -> clip(w + move, -reach, reach)` after each
+    of n steps; every step is of the moves of its parts, one behind the other.
 
-    Shapes and blocks as in `run_linear`: of several steps one behind the other, too,
-    there remain one shift and one clip.
+    Blocks as in `run_linear`: of several moves one behind the other, too, there remain
+    one shift and one clip.
     """
     n = moves.shape[-1]
     size = max(1, int(n**0.5))
     blocks = -(-n // size)
-    pad = [(0, 0)] * (moves.ndim - 1) + [(0, blocks * size - n)]
-    moves = jnp.pad(moves, pad).reshape(*moves.shape[:-1], blocks, size)
 
     def held(w):
         return jnp.clip(w, -reach, reach)
 
-    def within(state, move):
-        shift, low, high = state
-        state = shift + move, held(low + move), held(high + move)
+    shift, low, high = moves[0], -reach, reach
+    for move in moves[1:]:
+        shift, low, high = shift + move, held(low + move), held(high + move)
+
+    def cut(a, fill):
+        a = jnp.broadcast_to(a, shift.shape)
+        none = jnp.broadcast_to(fill, (*a.shape[:-1], blocks * size - n))
+        a = jnp.concatenate([a, none], axis=-1)
+        return jnp.moveaxis(a.reshape(*a.shape[:-1], blocks, size), -1, 0)
+
+    def within(state, step):
+        (shift, low, high), (move, least, most) = state, step
+        low, high = (jnp.clip(w + move, least, most) for w in (low, high))
+        state = shift + move, low, high
         return state, state
 
     def across(state, block):
         shift, low, high = block
         return jnp.clip(state + shift, low, high), state
 
-    none = jnp.zeros_like(moves[..., 0])
-    steps = scan_in_blocks(
-        within, (none, none - reach, none + reach), jnp.moveaxis(moves, -1, 0)
-    )
+    over = (cut(shift, 0.0), cut(low, -reach), cut(high, reach))
+    none = jnp.zeros_like(over[0][0])
+    steps = scan_in_blocks(within, (none, none - reach, none + reach), over)
     ends = jax.tree.map(lambda a: jnp.moveaxis(a[-1], -1, 0), steps)
     _, entry = jax.lax.scan(across, held(start), ends)
     shift, low, high = steps

@@ -112,8 +112,7 @@ class Past(NamedTuple):
 
 def friction_memory(rig: Rig, motion: Motion) -> Past:
     """What friction remembers over whole segments: once for all windows."""
-    s, n, quarters = motion.dx.shape
-    dx, v = motion.dx, motion.v
+    dx, v, quarters = motion.dx, motion.v, motion.dx.shape[-1]
     if rig.stretch:
         F = jnp.stack([motion.F[:, :-1], motion.F[:, 1:]], axis=-1)
         dx = dx + jnp.diff(
@@ -121,25 +120,25 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
         )
         F_rate = stretch.rate(motion.F, motion.h)
         v = v + stretch.ahead_rate(rig.stretch, motion.F, F_rate)
-    dx = dx.reshape(s, n * quarters)
-    h = jnp.repeat(motion.h / quarters, quarters, axis=1)
-    z_0, w_0 = jnp.zeros(s), motion.speed0
 
-    def at_ticks(start, keep, add, every=quarters):
+    def at_ticks(start, keep, add):
         # Nothing is asked of what lies between ticks: the steps there become one.
-        keep, add = (a.reshape(s, n, every) for a in (keep, add))
         whole, total = keep[..., 0], add[..., 0]
-        for i in range(1, every):
+        for i in range(1, keep.shape[-1]):
             whole, total = whole * keep[..., i], total * keep[..., i] + add[..., i]
         states = run_linear(whole, total, start)
         return jnp.concatenate([start[:, None], states], axis=1)
 
-    z = at_ticks(z_0, *rig.mechanics.bristle_map(dx))
-    speed = at_ticks(w_0, *rig.mechanics.speed_map(dx, h))
+    z = at_ticks(jnp.zeros_like(motion.speed0), *rig.mechanics.bristle_map(dx))
+    h = jnp.broadcast_to(motion.h[..., None] / quarters, dx.shape)
+    speed = at_ticks(motion.speed0, *rig.mechanics.speed_map(dx, h))
     if rig.velocity:
         now = jnp.abs(v)
         films = (
-            at_ticks(now[:, 0], *e.follow(now[:, :-1], now[:, 1:], motion.h), every=1)
+            at_ticks(
+                now[:, 0],
+                *(a[..., None] for a in e.follow(now[:, :-1], now[:, 1:], motion.h)),
+            )
             for e in rig.velocity
         )
         speed = jnp.stack([speed, now, *films], axis=-1)
@@ -147,12 +146,11 @@ def friction_memory(rig: Rig, motion: Motion) -> Past:
     slips = []
     for e in rig.hysteresis:
         begun = jnp.clip(e.deflection(held), -e.reach(), e.reach())
-        then = run_stop(dx, e.reach(), begun)[:, quarters - 1 :: quarters]
+        then = run_stop(jnp.moveaxis(dx, -1, 0), e.reach(), begun)
         slips.append(jnp.concatenate([begun[:, None], then], axis=1))
     turned = None
     if rig.asks_of_turns:
-        moved = jnp.sum(dx.reshape(s, n, quarters), axis=-1)
-        turned = run_turned(z, moved, motion.h)
+        turned = run_turned(z, jnp.sum(dx, axis=-1), motion.h)
     return Past(z, speed, v, tuple(slips), turned)
 
 

@@ -119,12 +119,11 @@ def deflections(
     motion: Motion,
 ) -> Iterator[tuple[float, Float[np.ndarray, "segments n"]]]:
     """Of every `SLIPS` that the motion reaches, the deflection at the ticks."""
-    s, _, parts = motion.dx.shape
-    dx = jnp.asarray(motion.dx).reshape(s, -1)
+    dx, start = jnp.moveaxis(jnp.asarray(motion.dx), -1, 0), jnp.zeros(len(motion.dx))
     for slip in SLIPS:
-        w = np.asarray(run_stop(dx, jnp.asarray(slip), jnp.zeros(s)))
+        w = np.asarray(run_stop(dx, jnp.asarray(slip), start))
         if np.any(w == slip) and np.any(w == -slip):
-            yield slip, np.concatenate([np.zeros((s, 1)), w[:, parts - 1 :: parts]], 1)
+            yield slip, np.pad(w, ((0, 0), (1, 0)))
 
 
 def commanded(
@@ -137,7 +136,8 @@ def commanded(
     h = jnp.asarray(motion.h)
     for term in TERMS:
         if term.form is FreeCommand and term.slip:
-            w = run_stop(jnp.diff(u, axis=1), jnp.asarray(term.slip), 0 * start)
+            moves = jnp.diff(u, axis=1)[None]
+            w = run_stop(moves, jnp.asarray(term.slip), 0 * start)
             if jnp.any(w == term.slip) and jnp.any(w == -term.slip):
                 yield term.sampled, jnp.pad(w, ((0, 0), (1, 0)))
         elif term.form is FreeCommand and term.tau:

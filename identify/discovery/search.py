@@ -159,9 +159,8 @@ def _round(at: Search, every: Sequence[Laid], noise: np.ndarray) -> Search:
     alike = tuple(
         h.curves[-1].laid.term.name
         for h in others
-        if not worse(h.curves[-1].after, best.curves[-1].after, noise,
-                     criteria.worse_by)
-    )  # fmt: skip
+        if not worse(h.curves[-1].after, best.curves[-1].after, noise, criteria)
+    )
     found = best.curves[-1]
     p_value = min(found.p_value, len(scores) * chance(before, found.after, noise))
     curves = (*best.curves[:-1], replace(found, alike=alike, p_value=p_value))

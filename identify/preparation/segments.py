@@ -12,7 +12,13 @@ from jaxtyping import Float
 from scipy import interpolate
 from scipy.signal import savgol_filter
 
-from hydrojax.identify.preparation.noise import derivatives, motion_band, smooth
+from hydrojax.identify.preparation.noise import (
+    derivatives,
+    force_areas,
+    motion_band,
+    sensor_noise_of,
+    smooth,
+)
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
 from hydrojax.rigfile.recording import position
@@ -43,7 +49,7 @@ class Segment:
     P: Float[np.ndarray, "ticks 2"]  # as logged
     dP: Float[np.ndarray, "ticks 3 2"]  # of P and P_s, smoothed
     F: Float[np.ndarray, "ticks"]
-    smoothed: Float[np.ndarray, "ticks"]  # F for what it stretches
+    smoothed: Float[np.ndarray, "ticks"]  # the force on the rod, for what it stretches
 
 
 def common_band(
@@ -102,6 +108,8 @@ def segment(
             # An axis driven by a force is mostly inertia: compared in its band.
             P = np.stack([smooth(t, p, band)(t) for p in P.T], axis=1)
             F = smooth(t, F, band)(t) if np.ptp(F) > 0 else F
+    pushed = "F" not in get and has_rod_force(log, spec)
+    stretches = _pushed(t, P, spec) if pushed else _smoothed(F)
     return Segment(
         log=i,
         origin=float(log.time[0]),
@@ -116,8 +124,31 @@ def segment(
         P=P,
         dP=np.stack([derivatives(t, p) for p in (*P.T, supply["P_s"])], axis=1),
         F=F,
-        smoothed=_smoothed(F),
+        smoothed=stretches,
     )
+
+
+def has_rod_force(log: Log, spec: RigFile) -> bool:
+    """Whether the force on the rod is known: logged, or nearly so from both pressures
+    where nothing else says what it is.
+    """
+    if "F" in log.signals:
+        return True
+    return {"P_a1", "P_a2"} <= set(log.signals) and "F" not in spec.output_load
+
+
+def _pushed(
+    t: Float[np.ndarray, "ticks"], P: Float[np.ndarray, "ticks 2"], spec: RigFile
+) -> Float[np.ndarray, "ticks"]:
+    """The force on the rod by the measured pressures, N; the piston's friction, of
+    which such logs say nothing, is left in it.
+    """
+    smoothed = []
+    for p in P.T:
+        noise = sensor_noise_of([(t, p)])
+        smoothed.append(noise.smoothed(t, p) if noise else p)
+    area_1, area_2 = force_areas(spec)
+    return area_2 * smoothed[1] - area_1 * smoothed[0]
 
 
 def runs_on(spec: RigFile) -> float:

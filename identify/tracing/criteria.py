@@ -51,6 +51,9 @@ class Criteria:
     worse_by: float = 2.0
     """Standard errors by which an alternative's validation error must be larger to be
     distinguished from the effect that was added, 1. Convention (two sigma)."""
+    worse_at_least: float = 1e-3
+    """Share by which some channel's validation RMS must be larger, beside that, 1: a
+    lag and a delay of a fraction of a tick differ by less in every window, alike."""
     promising: float = 0.02
     """Share of chi-square from which a candidate is refitted whatever the p-value of
     its score, 1: under a second missing effect the scores of the windows scatter, and

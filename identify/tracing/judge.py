@@ -152,12 +152,16 @@ def worse(
     a: Float[np.ndarray, "windows 3"],
     b: Float[np.ndarray, "windows 3"],
     noise: Float[np.ndarray, "3"],
-    by: float,
+    criteria: Criteria,
 ) -> bool:
-    """Whether errors `a` exceed `b` by `by` standard errors, paired by window."""
+    """Whether errors `a` exceed `b` beyond chance, paired by window, and by more than
+    models of one thing differ in how they are worked out.
+    """
     seen = np.isfinite(noise)
     d = np.sum((a - b)[:, seen] / noise[seen] ** 2, axis=1)
-    return bool(d.mean() > by * d.std(ddof=1) / np.sqrt(len(d)))
+    rms_a, rms_b = (np.sqrt(np.sum(e[:, seen], axis=0)) for e in (a, b))
+    sure = d.mean() > criteria.worse_by * d.std(ddof=1) / np.sqrt(len(d))
+    return bool(sure and np.any(rms_a > (1 + criteria.worse_at_least) * rms_b))
 
 
 def as_good(
@@ -171,7 +175,7 @@ def as_good(
     """
     own, rms = state.criteria, state.check.rms
     near = rms(a) <= rms(b) + own.matters * noise
-    return bool(np.all(near) and not worse(a, b, noise, own.worse_by))
+    return bool(np.all(near) and not worse(a, b, noise, own))
 
 
 def better(

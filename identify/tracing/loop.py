@@ -277,8 +277,7 @@ def _round(
     _, name, problem, point, after = first
     p_value = min(p[name], len(scores) * chance(before, after, noise))
     others = (h for h in helped if h is not first)
-    by = criteria.worse_by
-    alike = tuple(h[1] for h in others if not worse(h[4], after, noise, by))
+    alike = tuple(h[1] for h in others if not worse(h[4], after, noise, criteria))
     ends = state.check.rms(before), state.check.rms(after)
     state.progress(f"added {name}")
     return replace(

@@ -277,7 +277,7 @@ def with_look_alikes(state: Tracing) -> Tracing:
             s = scores_of(less, {name: state.effects[name]}, noise)[name]
             _, point = refit(less, state.effects[name], s, noise)
             after = less.check.errors_at(point.values)
-            if not worse(after, own, noise, criteria.worse_by):
+            if not worse(after, own, noise, criteria):
                 alike.append(name)
         added.append(replace(a, cannot_tell_from=tuple(alike)))
     return replace(state, added=tuple(added))

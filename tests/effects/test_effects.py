@@ -456,10 +456,14 @@ def test_the_stop_operator_is_clipped_step_by_step(n, reach):
     want = np.stack(
         [slipping(*row) for row in zip(moves, [reach] * 3, first, strict=True)]
     )
-    assert np.allclose(run_stop(moves, reach, first), want, rtol=0, atol=1e-15)
+    assert np.allclose(run_stop(moves[None], reach, first), want, rtol=0, atol=1e-15)
+    # Two moves to a step: the states after every second one.
+    pairs = np.moveaxis(np.pad(moves, ((0, 0), (0, n % 2))).reshape(3, -1, 2), -1, 0)
+    every = np.pad(want, ((0, 0), (0, n % 2)), "edge")[:, 1::2]
+    assert np.allclose(run_stop(pairs, reach, first), every, rtol=0, atol=1e-15)
 
     def last(reach):
-        return run_stop(moves, reach, 0.2 * first)[:, -1]
+        return run_stop(moves[None], reach, 0.2 * first)[:, -1]
 
     step = 1e-7 * reach
     by, ahead, behind = jax.jacfwd(last)(reach), last(reach + step), last(reach - step)

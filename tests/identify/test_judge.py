@@ -74,6 +74,15 @@ def test_noise_does_not_bring_a_channel_down():
 def test_what_fails_in_one_window_is_not_as_good():
     """Paired windows cannot tell; the simpler of two is not taken for it."""
     best, fails = errors(1), errors(2, (slice(7, 8), 40.0))
-    assert not worse(fails, best, NOISE, 2.0)
+    assert not worse(fails, best, NOISE, Criteria())
     assert not as_good(state(), fails, best, NOISE)
     assert as_good(state(), errors(2), best, NOISE)
+
+
+def test_a_difference_that_is_sure_and_next_to_nothing_tells_nothing_apart():
+    """A lag of a fraction of a tick and a dead time leave the same but for a millionth
+    that has one sign in every window."""
+    best = errors(1)
+    assert not worse((1 + 1e-6) * best, best, NOISE, Criteria())
+    assert as_good(state(), (1 + 1e-6) * best, best, NOISE)
+    assert worse(1.01 * best, best, NOISE, Criteria())
