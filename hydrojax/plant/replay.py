@@ -287,16 +287,11 @@ def _through(
     """The command's path over one step: its memories, and where the spool stands in
     each part, for each edge that has it elsewhere.
     """
-
-    def part(memory, u):
-        memory, (ways,) = rig.command_through(memory, [u], h / PARTS)
-        return memory, ways
-
-    if not rig.command:
-        return part(memory, goal.T)
-    if goal.shape[-1] == 1:
-        goal = jnp.broadcast_to(goal, (*goal.shape[:-1], PARTS))
-    return jax.lax.scan(part, memory, goal.T)
+    us = [goal[..., i] for i in range(goal.shape[-1])]
+    if rig.command and len(us) == 1:
+        us = us * PARTS
+    memory, ways = rig.command_through(memory, us, h / len(us))
+    return memory, tuple(jnp.stack(way) for way in zip(*ways, strict=True))
 
 
 def openings(rig: Rig, motion: Motion, cut: Cut | None = None) -> Opened:
