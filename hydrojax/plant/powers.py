@@ -1,7 +1,7 @@
 """Logarithm and powers of positive numbers that a processor works out several at once.
 
-XLA's CPU compiler calls the C library for each number by itself: a power takes three
-times as long so, and its derivatives two more of them.
+XLA's CPU compiler calls the C library for each number by itself, and for the
+derivatives of a power twice more.
 """
 
 from __future__ import annotations

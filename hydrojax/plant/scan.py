@@ -7,13 +7,16 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
 from jaxtyping import Array, PyTree
 
 try:
     from jax.experimental.scheduling_groups import xla_metadata_call
 except ImportError:  # another version of JAX
     xla_metadata_call = None
+
+
+_JAXPRS = (Jaxpr, ClosedJaxpr)
 
 
 def in_one_kernel(step: Callable[..., PyTree]) -> Callable[..., PyTree]:
@@ -24,7 +27,8 @@ def in_one_kernel(step: Callable[..., PyTree]) -> Callable[..., PyTree]:
     does with the results is no longer fused with the step, nor is the step worked out
     anew for it.
 
-    Elsewhere, and where JAX knows no such mark, it is the step itself.
+    Elsewhere, where JAX knows no such mark, and where the step multiplies matrices, it
+    is the step itself: XLA refuses some such products in a kernel of many operations.
 
     Args:
         step: of pytrees of arrays, to pytrees of arrays; vmapped and differentiated
@@ -36,6 +40,8 @@ def in_one_kernel(step: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
     def call(*args: PyTree) -> PyTree:
         traced, gives = jax.make_jaxpr(step, return_shape=True)(*args)
+        if _multiplies_matrices(traced.jaxpr):
+            return step(*args)
         # What the step closes over is given to the kernel, too.
         every = [*traced.consts, *jax.tree.leaves(args)]
         varies = [isinstance(a, Tracer) and a.size > 0 for a in every]
@@ -55,6 +61,20 @@ def in_one_kernel(step: Callable[..., PyTree]) -> Callable[..., PyTree]:
         return jax.tree.structure(gives).unflatten(out)
 
     return call
+
+
+def _multiplies_matrices(jaxpr: Jaxpr) -> bool:
+    """Whether there is a product of matrices in it, or in what it calls."""
+    for eqn in jaxpr.eqns:
+        if eqn.primitive.name == "dot_general":
+            return True
+        for inner in jax.tree.leaves(
+            list(eqn.params.values()), is_leaf=lambda p: isinstance(p, _JAXPRS)
+        ):
+            own = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
+            if isinstance(own, Jaxpr) and _multiplies_matrices(own):
+                return True
+    return False
 
 
 def _asking(given: Sequence[Array], out: Sequence[Array]) -> list[Array]:

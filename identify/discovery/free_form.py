@@ -89,7 +89,7 @@ class FreeForm(Effect):
         every = (1.0, *signals)
         times = sum(w * y for w, y in zip(self.factor, every, strict=False))
         c = jnp.stack([getattr(self, name) for name in specs(self)])
-        # Not a product of matrices, which XLA refuses in a tick that is one kernel.
+        # Not a product of matrices: see `in_one_kernel`.
         curve = jnp.sum(bspline(jnp.asarray(s), self.knots) * c, axis=-1)
         return self.size * times * curve
 

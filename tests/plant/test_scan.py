@@ -96,6 +96,22 @@ def test_a_step_is_launched_once():
     assert launches(in_one_kernel(sums)) < 0.5 * launches(sums)
 
 
+def test_a_step_that_multiplies_matrices_runs_too():
+    """XLA has no kernel of several operations for some such products."""
+    weights = jnp.arange(21.0).reshape(7, 3)
+
+    def step(x, _):
+        x = jnp.sin(
+            x + jax.jit(lambda a: a[:, None] ** jnp.arange(3.0))(x) @ weights[0]
+        )
+        return x, jnp.stack([x, x + (x @ weights)[0]])
+
+    def run(step):
+        return jax.jit(lambda x: jax.lax.scan(step, x, jnp.zeros(5)))(GIVEN)[1]
+
+    np.testing.assert_allclose(run(in_one_kernel(step)), run(step), rtol=1e-12)
+
+
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 16, 17, 250])
 def test_blocks_stack_what_a_scan_stacks(n):
     rows = np.random.default_rng(n).normal(size=(n, 4))
