@@ -40,6 +40,7 @@ from hydrojax.identify.late import (
 from hydrojax.identify.longer import with_long_runs
 from hydrojax.identify.motion.predict import check_drive, predict_motion
 from hydrojax.identify.one_log import FILTER, with_filter_of_one_log
+from hydrojax.identify.preparation.noise import Noise
 from hydrojax.identify.preparation.segments import has_rod_force
 from hydrojax.identify.results.outcome import LoopCheck, Outcome
 from hydrojax.identify.results.parts import check_loop
@@ -422,7 +423,6 @@ def _with_noise_found(case: Case, state: Tracing) -> Tracing:
     """
     if case.noise_by is None:
         return state
-    noise = case.noise_by(state.problem, state.point.values)
     seen = np.isfinite(state.noise)
     free, here = state.problem.free, state.named
     ends = {"beta": 1.0, "delta_1": -1.0, "delta_2": -1.0}
@@ -431,16 +431,19 @@ def _with_noise_found(case: Case, state: Tracing) -> Tracing:
         and np.isclose(here[name], free[name].upper if way > 0 else free[name].lower)
         for name, way in ends.items()
     )
-    most = state.noise * (1.0 if stiffest else state.criteria.recounted)
-    noise = np.where(seen, np.fmin(noise, most), state.noise)
-    if np.allclose(noise[seen], state.noise[seen], rtol=state.criteria.matters):
+    own = state.criteria
+    raised = 1.0 if stiffest else own.recounted
+    found = np.array(case.noise_by(state.problem, state.point.values))
+    known = np.array([state.fitted_noise(state.noise), state.noise])
+    noise = Noise(*np.where(seen, np.fmin(found, raised * known), known))
+    if np.allclose(np.array(noise)[:, seen], known[:, seen], rtol=own.matters):
         return state
     problem, check = (
-        replace(p, batch=p.batch._replace(noise=noise))
-        for p in (state.problem, state.check)
+        replace(p, batch=p.batch._replace(noise=one))
+        for p, one in zip((state.problem, state.check), noise, strict=True)
     )
     rms = problem.rms(problem.errors_at(state.point.values))
-    weights = reweighted(noise, rms, state.criteria.reweighted_above)
+    weights = reweighted(noise.fit, rms, own.reweighted_above)
     problem, point = fit_jointly(problem, state.point.values, state.free, weights)
     return replace(state, problem=problem, check=check, point=point)
 
@@ -453,7 +456,8 @@ def _on_all(problem: Problem, state: Tracing) -> Tracing:
     if whole and (np.isfinite(state.noise[2]) or not state.added):
         return state  # its last fit was to the end
     state.progress("fit to the end" if whole else "fit to all windows")
-    problem = replace(problem, batch=problem.batch._replace(noise=state.noise))
+    noise = state.problem.batch.noise
+    problem = replace(problem, batch=problem.batch._replace(noise=noise))
     problem, point = fit_on(problem, state.point.values, state.free)
     state = replace(state, problem=problem, point=point)
     return state if whole else pruned(state, state.noise, fresh=0)

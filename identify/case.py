@@ -330,12 +330,12 @@ def _prepared(
             f"rig's sign ({way}), so it was inverted; write "
             "invert = true under [channels] of the rig file",
         )
-    check = ready(others, fit.noise, sign, still=still) if others else fit
+    check = ready(others, found.check_noise, sign, still=still) if others else fit
     said = (*notes, *fit.notes, *check.notes)
     fit = replace(fit, notes=tuple(dict.fromkeys(said)))
     spec = over_travel(spec, fit.travel)
     own = Preparation(
-        spec, horizon, fit.noise, sign, band, criteria, found.smoothed, still
+        spec, horizon, check.noise, sign, band, criteria, found.smoothed, still
     )
     return Case(
         spec, fit, check, fitted, others or fitted, bool(others), own,

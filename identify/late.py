@@ -125,7 +125,8 @@ def with_late_position(
         return found
     name = case.read_logs[0].motion
     progress(f"see whether {name} is late")
-    tick, weights = _tick(case), np.where(seen, noise, np.inf)
+    tick = _tick(case)
+    weights = state.fitted_noise(np.where(seen, noise, np.inf))
 
     def refitted(moved: Problem) -> np.ndarray:
         # As far as one delay has to be told from another.
@@ -260,7 +261,8 @@ def with_early_position(
             1
         ].values
 
-    error = _Error(case, state.problem, refitted, name, state.noise)
+    weights = state.fitted_noise(state.noise)
+    error = _Error(case, state.problem, refitted, name, weights)
     given = replace(error, refitted=lambda _: state.point.values)(0.0)
     ends = (-min(2 * state.named["pressure_sensor_lag.tau_P"], LATEST), 0.0)
     early, left = least(error, ends, WITHIN * _tick(case))
@@ -302,7 +304,8 @@ class _Error:
 
     def of(self, data: Data) -> float:
         """The same of logs made ready otherwise."""
-        moved = in_short(replace(self.problem, batch=batch_of(data)))
+        batch = batch_of(data)._replace(noise=self.problem.batch.noise)
+        moved = in_short(replace(self.problem, batch=batch))
         seen = np.isfinite(self.weights)
         left = moved.rms(moved.errors_at(self.refitted(moved))) / self.weights
         return float(np.sum(left[seen] ** 2))

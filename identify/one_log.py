@@ -50,8 +50,11 @@ def with_filter_of_one_log(
     logs = (*case.as_read[0], *case.as_read[1])
     if FILTER not in state.effects or case.spec.filtered or len(logs) < 2:
         return case, ()
-    rms = [p.rms(p.errors_at(state.point.values)) for p in (state.problem, state.check)]
-    if not np.any((np.array(rms) > own.at_noise * noise)[:, seen]):
+    ratio = [
+        p.rms(p.errors_at(state.point.values)) / np.asarray(p.batch.noise)
+        for p in (state.problem, state.check)
+    ]
+    if not np.any(np.array(ratio)[:, seen] > own.at_noise):
         return case, ()
     if not _may_be(case, state):
         return case, ()
@@ -84,12 +87,12 @@ def _may_be(case: Case, state: Tracing) -> bool:
     stands above the noise of the pressures, to either side: that asks for no fit.
     """
     values, names = state.point.values, state.problem.model.names
-    noise = np.where(PRESSURES, state.noise, np.inf)
     fitted = [names.index(n) for n in state.problem.side(state.free, True)]
     at = [names.index(f"{FILTER}.tau")]
     fitted = [i for i in fitted if i not in at]
     ends = np.array([[-np.inf, np.inf]])
     for problem, data in ((state.problem, case.fit), (state.check, case.check)):
+        noise = np.where(PRESSURES, np.asarray(problem.batch.noise), np.inf)
         gram = np.asarray(problem.sums_at(values, noise).gram)
         ticks = problem.batch.windows.measured.shape[1] * np.isfinite(noise).sum()
         for log in np.unique(data.log):

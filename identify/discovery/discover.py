@@ -52,11 +52,14 @@ def begun(
     free = free_parameters(case.spec)
     for name, effect in effects_of(found, case.spec).items():
         free |= free_effect(name, specs(effect))
-    noise = case.fit.noise.copy()
+    noise = case.check.noise.copy()
     for i, name in enumerate(CHANNELS):
         if name in outcome.channels:
             noise[i] = outcome.channels[name].noise
-    problem = Problem.of(rig, free, replace(case.fit, noise=noise), case.criteria)
+    # What was found moves the fitted logs' noise by as much as that of the others.
+    seen, own = np.isfinite(noise), case.fit.noise.copy()
+    own[seen] *= noise[seen] / case.check.noise[seen]
+    problem = Problem.of(rig, free, replace(case.fit, noise=own), case.criteria)
     check = Problem.of(rig, free, replace(case.check, noise=noise), case.criteria)
     check = replace(check, least=room_of(problem.batch))
     use = in_play(problem, case.fit)
@@ -69,7 +72,7 @@ def begun(
         values[i] = outcome.values.get(name, values[i])
     problem = replace(problem, batch=problem.started(values))
     rms = problem.rms(problem.errors_at(values))
-    weights = reweighted(noise, rms, case.criteria.reweighted_above)
+    weights = reweighted(own, rms, case.criteria.reweighted_above)
     point = FitPoint(values, weights, 0, True)
     return Search(Tracing(problem, check, {}, use, point, progress))
 

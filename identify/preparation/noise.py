@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +16,21 @@ from hydrojax.rigfile.schema import RigFile
 
 CHANNELS = ("P_a1", "P_a2", "F")
 """What a replay can predict, in the order of `Windows.measured`."""
+
+
+class Noise(NamedTuple):
+    """The channels' noise, SI; inf where a channel is not compared.
+
+    What the noise of a position brings into a channel differs from log to log: a short
+    chamber answers it more. Where nothing is validated both are the same.
+
+    Attributes:
+        fit: that of the logs to fit.
+        check: that of the logs to validate.
+    """
+
+    fit: Float[np.ndarray, "3"]
+    check: Float[np.ndarray, "3"]
 
 
 def estimate_noise(y: Float[np.ndarray, "rows"]) -> float:

@@ -27,6 +27,7 @@ from hydrojax.identify.estimation.problem import Problem, in_play
 from hydrojax.identify.preparation.data import Data
 from hydrojax.identify.preparation.noise import (
     CHANNELS,
+    Noise,
     SensorNoise,
     force_areas,
     level,
@@ -47,7 +48,7 @@ Change = Callable[
 
 Values = Float[np.ndarray, "n"]
 
-NoiseBy = Callable[[Problem, Values], Float[np.ndarray, "3"]]
+NoiseBy = Callable[[Problem, Values], Noise]
 """The channels' noise, SI, with what the position's brings by a model there."""
 
 
@@ -56,13 +57,15 @@ class Resolved:
     """Logs with what drives them as good as it gets, and those to fit made ready, with
     the remainder of its noise in that of the channels.
 
-    `smoothed` does the same to a log that took no part in it; `noise_by` is the noise
-    by another model; `twice` are the logs to fit as they are, and with their position
-    measured once more; `still` is that of `prepare_logs`.
+    `check_noise` is the channels' noise in the logs that take no part; `smoothed` does
+    the same to a log that took no part in it; `noise_by` is the noise by another model;
+    `twice` are the logs to fit as they are, and with their position measured once more;
+    `still` is that of `prepare_logs`.
     """
 
     logs: tuple[Log, ...]
     fit: Data
+    check_noise: Float[np.ndarray, "3"]
     notes: tuple[str, ...] = ()
     smoothed: Callable[[Log], Log] = lambda log: log
     noise_by: NoiseBy | None = None
@@ -128,11 +131,12 @@ def resolve(
     elif fit.driven_by == "pressures":
         found = _drive(logs, spec, criteria)
     if found is None:
-        return Resolved(logs, fit)
-    fit = ready(found.logs[:count], found.noise, still=found.still)
+        return Resolved(logs, fit, fit.noise)
+    fit = ready(found.logs[:count], found.noise.fit, still=found.still)
     return Resolved(
         found.logs,
         fit,
+        found.noise.check,
         (found.note,),
         found.change,
         found.noise_by,
@@ -148,7 +152,7 @@ class Smoothed(NamedTuple):
     """
 
     logs: tuple[Log, ...]
-    noise: Float[np.ndarray, "3"]
+    noise: Noise
     note: str
     change: Callable[[Log], Log]
     noise_by: NoiseBy | None = None
@@ -182,7 +186,6 @@ def _position(
     still = AT_REST * max(b.left(_tick(logs)) for b in noises)
     ready = partial(ready, still=still)
     again = _drawn_again(smoothed, noises, spec, criteria)
-    # A short chamber answers it more: logs that took no part may have more of it.
     both = [
         (
             ready(smoothed[own], noise),
@@ -196,25 +199,27 @@ def _position(
         return Problem.of(rig, free_parameters(spec), data, criteria)
 
     def brought(problem: Problem, values: np.ndarray) -> np.ndarray:
-        return np.max([_brought(problem, values, *pair) for pair in both], axis=0)
+        """[2, 3]: what it brings into the logs to fit, and into those to validate."""
+        each = [_brought(problem, values, *pair) for pair in both]
+        return np.array([each[0], each[-1]])
 
-    def noise_by(problem: Problem, values: np.ndarray) -> np.ndarray:
-        return np.hypot(noise, brought(problem, values))
+    def noise_by(problem: Problem, values: np.ndarray) -> Noise:
+        return Noise(*np.hypot(noise, brought(problem, values)))
 
     # How far the position moves the channels depends on what the rig is: that of the
     # file may be off, and one fitted without what it lacks may be distorted.
     problem = problem_of(both[0][0])
     extra = brought(problem, start := problem.initial_values())
-    if not np.isfinite(extra[np.isfinite(noise)]).all():
+    if not np.isfinite(extra[:, np.isfinite(noise)]).all():
         return None  # the fit will say that the model has no finite answer
-    data = ready(smoothed[:count], np.hypot(noise, extra))
+    data = ready(smoothed[:count], np.hypot(noise, extra[0]))
     problem = problem_of(data)
     values = _roughly_fitted(problem, start, in_play(problem, data))
     found = brought(problem, values)
     found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, criteria.distorted * found)
-    note, twice = _position_note(noises, noise, extra), (both[0][0], both[0][1])
-    whole = np.hypot(noise, extra)
+    note = _position_note(noises, noise, np.max(extra, axis=0))
+    whole, twice = Noise(*np.hypot(noise, extra)), (both[0][0], both[0][1])
     return Smoothed(smoothed, whole, note, change, noise_by, twice, still)
 
 
@@ -283,7 +288,8 @@ def _position_note(
     return (
         f"the position is known to {1e6 * np.median([b.sigma for b in noises]):.2g} "
         f"um: {_said(noises)} by a first fit, what is left of its noise moves {moves} "
-        "RMS; that, or what the model found says, is counted into their noise"
+        "RMS where most; that, or what the model found says, is counted into their "
+        "noise, into that of the fitted logs and of the validation logs by itself"
     )
 
 
@@ -352,7 +358,7 @@ def _drive(logs: tuple[Log, ...], spec: RigFile, criteria: Criteria) -> Smoothed
         return log
 
     noise = np.array([np.inf, np.inf, np.sqrt(square)])
-    return Smoothed(logs, noise, note, change)
+    return Smoothed(logs, Noise(noise, noise), note, change)
 
 
 def _said(noises: Sequence[SensorNoise]) -> str:

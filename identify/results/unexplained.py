@@ -262,7 +262,7 @@ def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> LeftOpen:
 
     def off(problem, values) -> np.ndarray:
         """Each channel's error over its noise; 0 where it is not compared."""
-        return problem.rms(problem.errors_at(values)) / noise
+        return problem.rms(problem.errors_at(values)) / np.asarray(problem.batch.noise)
 
     if np.any(off(fitted, start) > own.at_noise):
         return LeftOpen()

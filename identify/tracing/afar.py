@@ -57,7 +57,8 @@ def from_afar(
         By effect the gain, in units of its score's, and where it may be fitted from,
         the best first.
     """
-    ratio = state.problem.rms(state.problem.errors_at(state.point.values)) / noise
+    rms = state.problem.rms(state.problem.errors_at(state.point.values))
+    ratio = rms / state.fitted_noise(noise)
     # Half way to what counts as above the noise.
     above = np.isfinite(noise) & (ratio > (1 + state.criteria.at_noise) / 2)
     if not effects or not np.any(above) or _accounted(state, scores, noise):
@@ -168,7 +169,8 @@ def _accounted(state: Tracing, scores: Mapping[str, Score], noise: np.ndarray) -
     """Whether nothing would be left by the score of one candidate at zero."""
     seen, weights = np.isfinite(noise), state.point.weights
     windows, ticks, _ = state.problem.batch.windows.measured.shape
-    floor = windows * ticks * float(np.sum((noise[seen] / weights[seen]) ** 2))
+    own = state.fitted_noise(noise)
+    floor = windows * ticks * float(np.sum((own[seen] / weights[seen]) ** 2))
     left = next(iter(scores.values())).left
     above = (state.criteria.at_noise**2 - 1) * floor
     above = min(above, state.criteria.fair_share * max(left - floor, 0.0))

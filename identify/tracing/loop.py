@@ -202,8 +202,9 @@ def _from_elsewhere(state: Tracing, noise: np.ndarray) -> Tracing:
         return state
     state.progress("fit what was found from the rig's own starts")
     problem, point = fit_from(state, values, state.free, noise)
-    after = cost(problem.errors_at(point.values), noise)
-    if after < cost(state.problem.errors_at(state.point.values), noise):
+    own = state.fitted_noise(noise)
+    after = cost(problem.errors_at(point.values), own)
+    if after < cost(state.problem.errors_at(state.point.values), own):
         return replace(state, problem=problem, point=point)
     return state
 

@@ -34,7 +34,7 @@ def refit(
     """
     problem, at_noise = state.problem, state.criteria.at_noise
     free = (*state.free, *free_names(effect))
-    seen = np.isfinite(noise)
+    seen, own = np.isfinite(noise), state.fitted_noise(noise)
 
     def one(values: np.ndarray) -> tuple[Problem, FitPoint, np.ndarray]:
         done, point = fit_from(state, values, free, noise)
@@ -44,14 +44,14 @@ def refit(
     near = _stepped(problem, state.point.values, effect, s, part)
     starts = _elsewhere(state, effect, s, near, noise)
     best = one(next(starts))
-    while np.any((problem.rms(best[2]) > at_noise * noise)[seen]):
+    while np.any((problem.rms(best[2]) > at_noise * own)[seen]):
         start = next(starts, None)
         if start is None:
             break
         other = one(start)
-        if s.far and cost(other[2], noise) > 0.99 * cost(best[2], noise):
+        if s.far and cost(other[2], own) > 0.99 * cost(best[2], own):
             break  # a start that was searched for is not likely to be outdone
-        best = min(best, other, key=lambda f: cost(f[2], noise))
+        best = min(best, other, key=lambda f: cost(f[2], own))
     return best[:2]
 
 
@@ -71,7 +71,8 @@ def fit_from(
     # As what is left earns them now: by weights of a model that lacked more, what is
     # still missing would seem too small to matter.
     above = state.criteria.reweighted_above
-    earned = reweighted(noise, done.rms(done.errors_at(values)), above)
+    rms = done.rms(done.errors_at(values))
+    earned = reweighted(state.fitted_noise(noise), rms, above)
     weights = np.where(np.isfinite(noise), earned, state.point.weights)
     return done, replace(state.point, values=values, weights=weights)
 

@@ -94,7 +94,7 @@ def beyond_position(state: Tracing, noise_by: NoiseBy) -> Tracing:
     own, seen = state.criteria, np.isfinite(state.noise)
 
     def noise_of(state: Tracing) -> Float[np.ndarray, "c"]:
-        return noise_by(state.problem, state.point.values)[seen]
+        return noise_by(state.problem, state.point.values).check[seen]
 
     for name in [a.name for a in reversed(state.added)]:
         noise, bare = noise_of(state), noise_of(taken_out(state, name))

@@ -24,8 +24,8 @@ def size_that_matters(state: Tracing, noise: Float[np.ndarray, "3"]) -> float:
     In the channels' present weights, and of the channel where it is least.
     """
     windows, ticks, _ = state.problem.batch.windows.measured.shape
-    seen = np.isfinite(noise)
-    grown = 1 + state.criteria.matters * noise[seen] / state.point.weights[seen]
+    seen, own = np.isfinite(noise), state.fitted_noise(noise)
+    grown = 1 + state.criteria.matters * own[seen] / state.point.weights[seen]
     return float(np.min(grown**2 - 1)) * windows * ticks
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from hydrojax.identify.estimation.fit import FitPoint
+from hydrojax.identify.estimation.fit import FitPoint, only
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.score import Score
@@ -56,8 +56,12 @@ class Tracing:
 
     @property
     def noise(self) -> Float[np.ndarray, "3"]:
-        """Each channel's noise, SI; inf where it is not compared."""
-        return np.asarray(self.problem.batch.noise)
+        """Each channel's noise in the validation logs, SI; inf where not compared."""
+        return np.asarray(self.check.batch.noise)
+
+    def fitted_noise(self, noise: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """That in the logs that are fitted, of the channels that `noise` compares."""
+        return only(np.asarray(self.problem.batch.noise), np.isfinite(noise))
 
     @property
     def errors(self) -> Float[np.ndarray, "windows 3"]:

@@ -103,7 +103,7 @@ class Replay:
             here = get(rig, self.names)
             return jax.jvp(lambda p: replay(put(rig, self.names, p)), (here,), (along,))
 
-        self._both = jax.jit(both)
+        self._both = program(both)
 
     def __call__(self, rig, name=None):
         """Readings [W, T, 3] and their derivative to the named parameter."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from hydrojax.identify.case import open_case
 from hydrojax.identify.estimation import fit
 from hydrojax.identify.estimation.fit import FitPoint, fit_all, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.preparation.noise import Noise
 from hydrojax.identify.tracing import loop, refit, rivals
 from hydrojax.identify.tracing.judge import better, may_rise, worsened
 from hydrojax.identify.tracing.rivals import (
@@ -137,8 +139,9 @@ def test_what_only_answers_the_positions_noise_is_let_go(
     strength = state.problem.model.names.index(f"{TRUE}.c_il")
     state.point.values[strength] = 2e-13
 
-    def noise_by(problem: Problem, values: np.ndarray) -> np.ndarray:
-        return state.noise * np.array([1.0, 1.0, 1.0 if values[strength] else bare])
+    def noise_by(problem: Problem, values: np.ndarray) -> Noise:
+        ratio = np.array([1.0, 1.0, 1.0 if values[strength] else bare])
+        return Noise(10 * state.noise, ratio * state.noise)
 
     left = beyond_position(state, noise_by)
     assert names_of(left) == ([TRUE] if kept else [])
@@ -197,9 +200,12 @@ def test_a_range_met_from_the_balances_is_fitted_from_the_rigs_own_values_too(
 def test_pressures_are_weighed_by_what_a_fit_leaves_of_them(opened, monkeypatch):
     """Not by what the declared model left, before anything was found."""
     state = unfitted(opened)
-    stale = replace(state.point, weights=1e3 * state.noise)
+    own = np.asarray(state.problem.batch.noise)
+    loud = state.check.batch._replace(noise=10 * own)  # decides, and weighs nothing
+    state = replace(state, check=replace(state.check, batch=loud))
+    stale = replace(state.point, weights=1e3 * own)
     noise = only(state.noise, PRESSURES)
-    sse = np.array([1.0, 9.0, 4.0]) * state.noise**2
+    sse = np.array([1.0, 9.0, 4.0]) * own**2
     counts = state.problem.batch.windows.measured.shape
     left = np.tile(sse * counts[1], (counts[0], 1))
     monkeypatch.setattr(Problem, "errors_at", lambda *_: left)
@@ -207,7 +213,7 @@ def test_pressures_are_weighed_by_what_a_fit_leaves_of_them(opened, monkeypatch)
     found = refit.fit_from(
         replace(state, point=stale), stale.values, state.free, noise
     )[1]
-    np.testing.assert_allclose(found.weights, np.array([1, 3, 1e3]) * state.noise)
+    np.testing.assert_allclose(found.weights, np.array([1, 3, 1e3]) * own)
 
 
 @pytest.mark.parametrize(
@@ -360,6 +366,7 @@ class Errors:
     def __init__(self, noise, off):
         scatter = np.random.default_rng(0).normal(1.0, 0.05, (60, 3))
         self.sse = (np.array(off) * noise * scatter) ** 2
+        self.batch = SimpleNamespace(noise=noise)
 
     def errors_at(self, values):
         return self.sse
@@ -405,6 +412,7 @@ class Ends:
 
     def __init__(self, noise, at, ends):
         self.at, self.ends = at, [Errors(noise, off) for off in ends]
+        self.batch = self.ends[0].batch
 
     def errors_at(self, values):
         return self.ends[int(values[self.at] > 0.5)].sse
