@@ -189,6 +189,7 @@ def test_late_pressures_and_a_late_force_are_one_early_position(
         point=SimpleNamespace(values="with both", weights=None),
         problem=None,
         noise=None,
+        fitted_noise=lambda noise: noise,
         free=(),
     )
     given = RigFile.load(ROOT / "hydrojax/demo/rig.toml")

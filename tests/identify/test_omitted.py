@@ -66,6 +66,7 @@ def state_of(gram, theta, added):
         problem=problem,
         criteria=Criteria(),
         noise=np.array([np.inf, np.inf, 1.0]),
+        fitted_noise=lambda noise: noise,
         point=SimpleNamespace(values=np.array([*theta, 0.0, 0.0]), weights=np.ones(3)),
         effects=effects,
         free=("a", "b"),
