@@ -128,7 +128,7 @@ def _sorted(
     unseen = {n for n, seen in zip(free, shown, strict=True) if not seen}
     for name in free:
         value, f = point.values[names.index(name)], problem.free[name]
-        slack = 1e-9 * max(abs(f.lower), abs(f.upper))
+        slack = slack_of(f)
         if name in unseen:  # where nothing holds it says nothing, an end or not
             inside.append(name)
         elif value <= f.lower + slack:
@@ -148,6 +148,11 @@ def curvature(
     gram = np.asarray(problem.sums_at(point.values, point.weights).gram)
     columns = np.array([names.index(n) for n in free], dtype=int)
     return _covariance(problem, gram, list(free), columns)[1], list(free)
+
+
+def slack_of(own: Free) -> float:
+    """From an end of a parameter's range, SI, within which it stands at that end."""
+    return 1e-9 * max(abs(own.lower), abs(own.upper))
 
 
 def is_whole(own: Free, spec: Spec) -> bool:

@@ -12,7 +12,7 @@ from hydrojax.identify.checking.words import Finding
 from hydrojax.identify.estimation.columns import batch_of
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.inference.omitted import with_omitted
-from hydrojax.identify.inference.uncertainty import Uncertainty, is_whole
+from hydrojax.identify.inference.uncertainty import Uncertainty, is_whole, slack_of
 from hydrojax.identify.preparation.noise import CHANNELS
 from hydrojax.identify.results.horizons import beyond_windows, horizons_of
 from hydrojax.identify.results.limits import limits_of, said_tolerated
@@ -353,7 +353,8 @@ def _at_ends(state: Tracing, uncertainty: Uncertainty) -> tuple[str, ...]:
     """
     specs, free = parameter_specs(state.problem.model.rig), state.problem.free
     added = [state.effects[a.name] for a in state.added]
-    meant = {n for e in added for n in strengths(e) if state.named[n] == 0.0}
+    strong = [n for e in added for n in strengths(e)]
+    meant = {n for n in strong if abs(state.named[n]) <= slack_of(free[n])}
     whole = {n for n in state.free if is_whole(free[n], specs[n])}
     for n in whole:
         if np.any(np.isclose(state.named[n], (specs[n].lower, specs[n].upper))):

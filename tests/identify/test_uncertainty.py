@@ -92,6 +92,36 @@ def test_what_no_log_shows_gets_no_deviation_from_what_moves_the_rest():
     assert wide.covariance[1, 1] == C[1, 1] and wide.limits == own.limits
 
 
+def ended(rig, name, value, lower):
+    """What a parameter of an added effect may be, and whether its end is called out."""
+    effect = name.partition(".")[0]
+    dressed = add(rig, [EFFECTS[effect]()])
+    specs = parameter_specs(dressed)
+    spec = specs[name]
+    own = Free(spec.default, lower, spec.upper)
+    free = {n: Free(s.default, s.lower, s.upper) for n, s in specs.items()}
+    values = dict.fromkeys(specs, 0.01) | {"flow_curve.k": 1.0, name: value}
+    state = SimpleNamespace(
+        problem=SimpleNamespace(
+            model=SimpleNamespace(rig=dressed), free=free | {name: own}
+        ),
+        effects={effect: EFFECTS[effect]()},
+        added=(SimpleNamespace(name=effect),),
+        free=(name,),
+        named=values,
+    )
+    ends = Uncertainty({name: None}, frozenset((name,)), (), (), (), np.zeros((0, 0)))
+    return spec, own, _at_ends(state, ends)
+
+
+def test_a_strength_that_is_absent_is_not_called_out(rig):
+    """A counterbalance valve in one line alone: a billionth of its range is nothing."""
+    upper = parameter_specs(add(rig, [EFFECTS["counterbalance"]()]))
+    upper = upper["counterbalance.k_1"].upper
+    for value, said in ((0.0, False), (0.9e-9 * upper, False), (upper, True)):
+        assert bool(ended(rig, "counterbalance.k_1", value, 0.0)[2]) is said
+
+
 @pytest.mark.parametrize(
     ("name", "value", "lower", "said", "words"),
     [
@@ -109,18 +139,7 @@ def test_what_no_log_shows_gets_no_deviation_from_what_moves_the_rest():
 )
 def test_what_can_be_no_more_is_not_called_out(rig, name, value, lower, said, words):
     """Air that is adiabatic, and a valve that opens by its curve alone."""
-    effect = name.partition(".")[0]
-    dressed = add(rig, [EFFECTS[effect]()])
-    spec = parameter_specs(dressed)[name]
-    own = Free(spec.default, lower, spec.upper)
-    state = SimpleNamespace(
-        problem=SimpleNamespace(model=SimpleNamespace(rig=dressed), free={name: own}),
-        effects={effect: EFFECTS[effect]()},
-        added=(SimpleNamespace(name=effect),),
-        free=(name,),
-        named={name: value, "entrained_air.alpha": 0.01, "flow_curve.k": 1.0},
-    )
-    ends = Uncertainty({name: None}, frozenset((name,)), (), (), (), np.zeros((0, 0)))
-    assert _at_ends(state, ends) == ((name,) if said else ())
+    spec, own, at_ends = ended(rig, name, value, lower)
+    assert at_ends == ((name,) if said else ())
     end = "upper" if value > spec.default else "lower"
     assert words in _at_end(name, end, own, spec)
