@@ -30,13 +30,10 @@ def refit(
     state: Tracing, effect: Effect, s: Score, noise: Float[np.ndarray, "3"]
 ) -> tuple[Problem, FitPoint]:
     """Fit again with the effect free, from part of the step that its score predicts;
-    and, as long as that leaves something or ends where the effect's ranges end, from
-    where else it may lie: a valve that is open in all of the fitted logs fits as a
-    mere loss, and what it does in others is another thing.
+    and, as long as that leaves something, from where else it may lie.
     """
     problem, at_noise = state.problem, state.criteria.at_noise
-    mine = free_names(effect)
-    free = (*state.free, *mine)
+    free = (*state.free, *free_names(effect))
     seen, own = np.isfinite(noise), state.fitted_noise(noise)
 
     def one(values: np.ndarray) -> tuple[Problem, FitPoint, np.ndarray]:
@@ -46,14 +43,12 @@ def refit(
     part = state.criteria.first_step
     near = _stepped(problem, state.point.values, effect, s, part)
     starts = _elsewhere(state, effect, s, near, noise)
-    best, searched = one(next(starts)), len(s.starts)
-    while np.any((problem.rms(best[2]) > at_noise * own)[seen]) or (
-        searched > 0 and stuck(problem, best[1].values, mine)
-    ):
+    best = one(next(starts))
+    while np.any((problem.rms(best[2]) > at_noise * own)[seen]):
         start = next(starts, None)
         if start is None:
             break
-        other, searched = one(start), searched - 1
+        other = one(start)
         if s.far and cost(other[2], own) > 0.99 * cost(best[2], own):
             break  # a start that was searched for is not likely to be outdone
         best = min(best, other, key=lambda f: cost(f[2], own))

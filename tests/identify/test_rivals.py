@@ -20,7 +20,6 @@ from hydrojax.identify import api
 from hydrojax.identify.case import open_case
 from hydrojax.identify.estimation import fit
 from hydrojax.identify.estimation.fit import FitPoint, fit_all, only
-from hydrojax.identify.estimation.known import Free
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.preparation.noise import Noise
 from hydrojax.identify.tracing import loop, refit, rivals
@@ -445,44 +444,3 @@ def test_a_share_is_tried_from_its_other_end(opened, monkeypatch, ends, s):
     found = rivals.at_other_ends(state, state.noise)
     assert found.named["valve_rate_limit.s"] == (s or 0.0)
     assert (found is state) == (not s)
-
-
-@pytest.mark.parametrize(
-    ("at", "starts", "left", "tried"),
-    [
-        ("end", 2, (1.0, 0.9, 0.8), 3),  # all that were searched for
-        ("end", 1, (1.0, 0.9, 0.8), 2),
-        ("inside", 2, (1.0, 0.9, 0.8), 1),
-        ("inside", 1, (1.5, 1.4, 1.0), 3),  # something is left
-    ],
-)
-def test_what_ends_where_its_range_ends_is_fitted_from_elsewhere(
-    opened, monkeypatch, at, starts, left, tried
-):
-    """Though nothing is left of the fitted logs, and from no more than was searched."""
-    state, name = unfitted(opened), "valve_rate_limit.s"
-    at = 0.5 if at == "inside" else 1.0
-    own = Free(0.5, 0.0, 1.0)
-    problem = replace(state.problem, free=state.problem.free | {name: own})
-    state = replace(state, problem=problem)
-    windows, ticks, _ = problem.batch.windows.measured.shape
-    seen = iter(left)
-    fits = []
-
-    def fit_from(state, values, free, noise):
-        values = values.copy()
-        values[problem.model.names.index(name)] = at
-        sse = np.tile((next(seen) * state.noise) ** 2 * ticks, (windows, 1))
-        done = SimpleNamespace(errors_at=lambda _: sse)
-        fits.append(done)
-        return done, replace(state.point, values=values)
-
-    monkeypatch.setattr(refit, "fit_from", fit_from)
-    monkeypatch.setattr(
-        refit, "_elsewhere", lambda *_: iter([state.point.values] * len(left))
-    )
-    monkeypatch.setattr(refit, "_stepped", lambda *_: None)
-    s = SimpleNamespace(starts=(state.point.values,) * starts, far=False)
-    effect = state.effects["valve_rate_limit"]
-    found = refit.refit(state, effect, s, state.noise)[0]
-    assert len(fits) == tried and found is fits[-1]
