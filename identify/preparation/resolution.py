@@ -200,8 +200,7 @@ def _position(
 
     def brought(problem: Problem, values: np.ndarray) -> np.ndarray:
         """[2, 3]: what it brings into the logs to fit, and into those to validate."""
-        each = [_brought(problem, values, *pair) for pair in both]
-        return np.array([each[0], each[-1]])
+        return np.array([_brought(problem, values, *pair) for pair in both])[[0, -1]]
 
     def noise_by(problem: Problem, values: np.ndarray) -> Noise:
         return Noise(*np.hypot(noise, brought(problem, values)))
@@ -218,8 +217,8 @@ def _position(
     found = brought(problem, values)
     found = np.where(np.isfinite(found), found, extra)
     extra = np.clip(extra, found, criteria.distorted * found)
-    note = _position_note(noises, noise, np.max(extra, axis=0))
-    whole, twice = Noise(*np.hypot(noise, extra)), (both[0][0], both[0][1])
+    note, twice = _position_note(noises, noise, extra), (both[0][0], both[0][1])
+    whole = Noise(*np.hypot(noise, extra))
     return Smoothed(smoothed, whole, note, change, noise_by, twice, still)
 
 
@@ -277,11 +276,17 @@ def _brought(
 def _position_note(
     noises: Sequence[SensorNoise], noise: np.ndarray, extra: np.ndarray
 ) -> str:
-    """What is said of the position's noise in the logs; `extra` is what it brings."""
+    """What is said of the position's noise in the logs; `extra` [2, 3] is what it
+    brings, into those to fit and those to validate.
+    """
     moves = ", ".join(
         f"{name} by {size / per:.2g} {unit}"
         for name, size, per, unit in zip(
-            CHANNELS, extra, (1e3, 1e3, 1.0), ("kPa", "kPa", "N"), strict=True
+            CHANNELS,
+            np.max(extra, axis=0),
+            (1e3, 1e3, 1.0),
+            ("kPa", "kPa", "N"),
+            strict=True,
         )
         if np.isfinite(noise[CHANNELS.index(name)])
     )
