@@ -151,7 +151,7 @@ def curvature(
 
 
 def slack_of(own: Free) -> float:
-    """From an end of a parameter's range, SI, within which it stands at that end."""
+    """Distance from an end of its range within which a parameter is at that end, SI."""
     return 1e-9 * max(abs(own.lower), abs(own.upper))
 
 

@@ -293,8 +293,9 @@ def _position_note(
     return (
         f"the position is known to {1e6 * np.median([b.sigma for b in noises]):.2g} "
         f"um: {_said(noises)} by a first fit, what is left of its noise moves {moves} "
-        "RMS where most; that, or what the model found says, is counted into their "
-        "noise, into that of the fitted logs and of the validation logs by itself"
+        "RMS, in the fitted or in the validation logs, whichever is more; what it "
+        "moves in each of the two, or would by the model found, is counted into their "
+        "noise there"
     )
 
 

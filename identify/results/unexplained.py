@@ -257,7 +257,7 @@ def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> LeftOpen:
         unidentifiable: those that the fitted logs do not identify, named first.
     """
     own = state.criteria
-    noise, free, index = state.noise, state.free, _index(state)
+    free, index = state.free, _index(state)
     fitted, check, start = state.problem, state.check, state.point.values
 
     def off(problem, values) -> np.ndarray:
@@ -270,7 +270,7 @@ def extrapolation(state: Tracing, unidentifiable: Sequence[str]) -> LeftOpen:
     both = replace(fitted, batch=check.batch, known=known, symmetric=False)
     values = start
     for _ in range(2):
-        values, out = both.solve(values, free, noise)
+        values, out = both.solve(values, free)
         both = both.restarted(out.also, values)
     if np.any(off(fitted, values) > own.at_noise):
         return LeftOpen()

@@ -59,6 +59,7 @@ def test_a_substep_has_the_derivatives_of_forward_mode(rig, stretched):
 
 
 def derivatives_agree(rig, strength, stretched):
+    """With each strength at such a share of its scale."""
     spec = parameter_specs(rig)
     names = [n for n, s in spec.items() if s.strength]
     rig = put(rig, names, [strength * spec[n].scale for n in names])
