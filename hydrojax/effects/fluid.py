@@ -136,13 +136,14 @@ class Counterbalance(LineEffect):
         strength=True, size=4.5e13, grid=(7e11, 7e12, 7e15, 0.0, 7e12),
     )  # fmt: skip
     P_set: Float[Array, ""] = param(
-        "Pa", 1.5e7, 2e6, 4e7, "setting", grid=(8e6, 1.5e7, 2.5e7)
+        "Pa", 1.5e7, 2e6, 4e7, "setting", grid=(8e6, 1.5e7, 2.5e7, 8e6)
     )
     ratio: Float[Array, ""] = param("1", 3.0, 0.5, 12.0, "pilot ratio", prior=2.0)
     # Far off: a valve that logs do not show wholly open may open further in others.
     dP_full: Float[Array, ""] = param(
-        "Pa", 4e7, 5e5, 6e7, "pressure from shut to open", prior=2e7
-    )
+        "Pa", 4e7, 5e5, 6e7, "pressure from shut to open",
+        grid=(4e7, 4e7, 4e7, 1e7), prior=2e7,
+    )  # fmt: skip
     tau: Float[Array, ""] = param("s", 0.05, 1e-3, 0.5, "lag of the pilot", prior=0.1)
     V_line: Float[Array, ""] = param(
         "m^3", 5e-4, 1e-5, 2e-2, "volume of a line between valve and edges", prior=5e-4

@@ -67,8 +67,11 @@ class Linear(NamedTuple):
         values: Values,
         columns: Sequence[str | None],
         gram: Float[np.ndarray, "rows rows"],
+        variance: float = 1.0,
     ) -> Linear:
-        """Without the columns that stand for nothing, and with what is known ahead."""
+        """Without the columns that stand for nothing, and with what is known ahead, in
+        units of the residual's `variance`.
+        """
         model = problem.model
         used = [i for i, n in enumerate(columns) if n]
         gram = gram[np.ix_([*used, -1], [*used, -1])]
@@ -77,7 +80,7 @@ class Linear(NamedTuple):
             if f.prior:
                 slope = model.scale[index[i]] / f.prior
                 row = (slope, (values[index[i]] - f.start) / f.prior)
-                gram[np.ix_([i, -1], [i, -1])] += np.outer(row, row)
+                gram[np.ix_([i, -1], [i, -1])] += variance * np.outer(row, row)
         return cls(values, index, gram)
 
     @property
@@ -168,7 +171,9 @@ def _balance_along(problem: Problem, values: Values, free: tuple[str, ...]) -> L
     ends = np.linspace(0, handfuls, min(handfuls, 2) + 1).astype(np.int32)
     gram = np.sum(at_once(part, ends[:-1], ends[1:]), axis=0)
     columns = slot_names(problem.model, free, slots)
-    return Linear.of(problem, values, columns, gram)
+    # Its rows are not in units of a noise: what is left says how large that may be.
+    rows = 2 * len(weight) * np.sum(np.asarray(problem.batch.weight))
+    return Linear.of(problem, values, columns, gram, gram[-1, -1] / rows)
 
 
 def balanced(problem: Problem, values: Values, free: Sequence[str]) -> Values:
@@ -216,27 +221,24 @@ def _run(
     ends = batch.windows.x_fine[..., :: batch.windows.x_fine.shape[-1] - 1]
     swept = (jnp.diff(ends, axis=-1)[..., 0] @ weight.T) ** 2
     size = jnp.sqrt(jnp.average(jnp.mean(swept, axis=1), weights=batch.weight))
-    # Run by what moves the balances, which is less than a trace has columns.
     n, apart = model.hydraulic, set(opening_names(model.rig))
     own = [i for i, name in enumerate(model.names[:n]) if name not in apart]
     names = [model.names[i] for i in own]
-    along = jnp.concatenate([spool.along, directions[np.array(own, int)]])
     rig = put(model.rig, model.names[:n], values[:n])
-    at, moves = values[np.array(own, int)], len(spool.along)
+    at, moves = values[np.array(own, int)], directions[np.array(own, int)].T
 
     def some(_, w, weights):
         opened, by = (opened_in(rig, o, w) for o in (spool.now, spool.by))
+        opened_by = tuple(jnp.tensordot(spool.along.T, o, axes=1) for o in by)
 
         def rows(of, opened):
             here = put(rig, names, of)
             return jnp.stack([e @ weight.T for e in imbalance_behind(here, w, opened)])
 
-        def column(e, by):
-            return jax.jvp(rows, (at, opened), (e[moves:], by))[1]
+        def column(move, opened_by):
+            return jax.jvp(rows, (at, opened), (move, opened_by))[1]
 
-        more = jax.tree.map(lambda a: jnp.pad(a, ((0, len(own)), (0, 0), (0, 0))), by)
-        each = jax.vmap(column)(jnp.eye(len(along)), more)
-        columns = jnp.tensordot(along.T, each, axes=1)
+        columns = jax.vmap(column)(moves, opened_by)
         per = jnp.sqrt(weights)[None, :, None] / size
         stack = jnp.concatenate([columns, rows(at, opened)[None]]) * per
         return jnp.einsum("icwr,jcwr->wij", stack, stack)

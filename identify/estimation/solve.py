@@ -103,9 +103,10 @@ PATIENCE = 4
 """Evaluations over which a fit has to bring what each of its steps has to promise: in a
 narrow bent valley a step promises much and keeps next to nothing of it."""
 
-FAILURES = 3
+FAILURES, PROMISING = 3, 0.01
 """Failures one after the other that end a fit: the second has a damping of 1e-2, the
-third of 1."""
+third of 1. One more, with a damping of 100, where an almost undamped step promises such
+a share of the cost: that is no minimum, but next to where a valve shuts."""
 
 
 class _Trust(optx.ClassicalTrustRegion):
@@ -146,7 +147,8 @@ class _BoxedLM(optx.AbstractGaussNewton):
         cost = 0.5 * jnp.sum(state.f_info.residual**2)
         least = jnp.maximum(self.enough * cost, ENOUGH_CHI2)
         little = state.descent_state.predicted < least
-        stuck = state.num_steps_since_acceptance >= FAILURES
+        promising = state.descent_state.predicted > PROMISING * cost
+        stuck = state.num_steps_since_acceptance >= FAILURES + promising
         stop = little | stuck
         return state.terminate | (stop & ~state.first_step), state.result
 

@@ -30,10 +30,12 @@ def refit(
     state: Tracing, effect: Effect, s: Score, noise: Float[np.ndarray, "3"]
 ) -> tuple[Problem, FitPoint]:
     """Fit again with the effect free, from part of the step that its score predicts;
-    and, as long as that leaves something, from where else it may lie.
+    and, as long as that leaves something or ends at an end of the effect's ranges, from
+    where else it may lie.
     """
     problem, at_noise = state.problem, state.criteria.at_noise
-    free = (*state.free, *free_names(effect))
+    added = free_names(effect)
+    free = (*state.free, *added)
     seen, own = np.isfinite(noise), state.fitted_noise(noise)
 
     def one(values: np.ndarray) -> tuple[Problem, FitPoint, np.ndarray]:
@@ -44,7 +46,9 @@ def refit(
     near = _stepped(problem, state.point.values, effect, s, part)
     starts = _elsewhere(state, effect, s, near, noise)
     best = one(next(starts))
-    while np.any((problem.rms(best[2]) > at_noise * own)[seen]):
+    while np.any((problem.rms(best[2]) > at_noise * own)[seen]) or stuck(
+        problem, best[1].values, added
+    ):
         start = next(starts, None)
         if start is None:
             break

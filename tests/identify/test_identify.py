@@ -468,6 +468,21 @@ def test_a_failure_shortens_the_next_step_however_far_trust_has_grown():
     assert beyond[-1] < 0.6 * beyond[0] and float(out.at[0]) == pytest.approx(-8, 0.01)
 
 
+@pytest.mark.parametrize(("slope", "moves"), [(50.0, True), (0.5, False)])
+def test_a_step_that_promises_much_is_braked_further(slope, moves):
+    """Next to a wall that three dampings do not stay clear of."""
+    asked = []
+
+    def gram(d):
+        asked.append(float(d[0]))
+        cost = 2000 + slope * d[0] if d[0] > -1e-2 * slope else 1e9
+        return np.array([[1.0, slope], [slope, 2 * cost]]), ()
+
+    out = minimise_step_by_step(gram, np.array([-99.0]), np.array([99.0]))
+    assert (float(out.at[0]) < 0) == moves
+    assert moves or len(asked) == 1 + FAILURES
+
+
 @pytest.mark.parametrize(("kept", "evaluations"), [(0.06, PATIENCE + 1), (0.2, 20)])
 def test_a_fit_ends_where_steps_keep_little_of_what_they_promise(kept, evaluations):
     """Each promises half a percent of the cost; 0.1 percent is enough."""

@@ -21,6 +21,7 @@ from hydrojax.identify.case import open_case
 from hydrojax.identify.estimation import fit
 from hydrojax.identify.estimation.fit import FitPoint, fit_all, only
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
+from hydrojax.identify.estimation.starts import placed
 from hydrojax.identify.preparation.noise import Noise
 from hydrojax.identify.tracing import loop, refit, rivals
 from hydrojax.identify.tracing.judge import better, may_rise, worsened
@@ -444,3 +445,47 @@ def test_a_share_is_tried_from_its_other_end(opened, monkeypatch, ends, s):
     found = rivals.at_other_ends(state, state.noise)
     assert found.named["valve_rate_limit.s"] == (s or 0.0)
     assert (found is state) == (not s)
+
+
+@pytest.mark.parametrize(("first", "asked"), [(1.0, 2), (0.5, 1)])
+def test_a_fit_that_ends_at_an_end_of_an_effects_range_is_made_from_elsewhere_too(
+    opened, monkeypatch, first, asked
+):
+    """Though nothing is left: of two that leave as little the later is the better."""
+    state, effect = unfitted(opened), opened[3]["stribeck"]
+    problem, name = state.problem, free_names(effect)[-1]
+    own = problem.free[name]
+    assert own.lower < own.start < own.upper
+    ends = []
+
+    def at(share):
+        return placed(problem, state.point.values, {name: share * own.upper})
+
+    class Quiet:
+        """Stands for a problem fitted to its noise."""
+
+        model, free, batch = problem.model, problem.free, problem.batch
+        criteria = problem.criteria
+
+        def __init__(self, off):
+            self.off = off
+
+        def errors_at(self, _):
+            return np.full((4, 3), self.off) * state.noise**2
+
+        def rms(self, errors):
+            return np.sqrt(np.mean(errors, axis=0))
+
+    def fitted(_, values, *__):
+        ends.append(values)
+        return Quiet(0.9 ** len(ends)), replace(state.point, values=values)
+
+    monkeypatch.setattr(refit, "fit_from", fitted)
+    monkeypatch.setattr(refit, "_stepped", lambda *_: None)
+    starts = iter([at(first), at(0.4)])
+    monkeypatch.setattr(refit, "_elsewhere", lambda *_: starts)
+    quiet = replace(state, problem=Quiet(1.0))
+    score = Score(effect.name, 1.0, np.zeros(1), 0.0, 1.0, 1.0, 1.0)
+    _, point = refit.refit(quiet, effect, score, state.noise)
+    assert len(ends) == asked
+    np.testing.assert_array_equal(point.values, ends[-1])
