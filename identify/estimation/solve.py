@@ -105,8 +105,9 @@ narrow bent valley a step promises much and keeps next to nothing of it."""
 
 FAILURES, PROMISING = 3, 0.01
 """Failures one after the other that end a fit: the second has a damping of 1e-2, the
-third of 1. One more, with a damping of 100, where an almost undamped step promises such
-a share of the cost: that is no minimum, but next to where a valve shuts."""
+third of 1. One more, with a damping of 100, where an almost undamped step promises at
+least the second of these as a share of the cost: no minimum, but where a valve shuts.
+"""
 
 
 class _Trust(optx.ClassicalTrustRegion):

@@ -489,3 +489,19 @@ def test_a_fit_that_ends_at_an_end_of_an_effects_range_is_made_from_elsewhere_to
     _, point = refit.refit(quiet, effect, score, state.noise)
     assert len(ends) == asked
     np.testing.assert_array_equal(point.values, ends[-1])
+
+
+def test_the_shape_of_what_is_declared_is_asked_for_ahead_of_what_is_missing(
+    opened, monkeypatch
+):
+    state, asked = unfitted(opened), []
+
+    def noted(what):
+        return lambda state, *_: asked.append(what) or state
+
+    monkeypatch.setattr(loop, "at_other_ends", noted("shape"))
+    monkeypatch.setattr(loop, "_scored_round", noted("effects"))
+    monkeypatch.setattr(loop, "exchanged", lambda state, *_: state)
+    monkeypatch.setattr(loop, "_or_several", lambda _, found, *__: found)
+    loop._one_by_one(state, {}, state.noise)
+    assert asked == ["shape", "effects", "shape"]
