@@ -12,7 +12,9 @@ from jaxtyping import Float
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.estimation.known import is_of_shapes
 from hydrojax.identify.estimation.problem import Problem
+from hydrojax.identify.estimation.starts import placed
 from hydrojax.identify.preparation.resolution import NoiseBy
+from hydrojax.identify.tracing.grids import bases
 from hydrojax.identify.tracing.in_balances import near_in_balances
 from hydrojax.identify.tracing.judge import (
     better,
@@ -133,8 +135,9 @@ def exchanged(
 
 def at_other_ends(state: Tracing, noise: Float[np.ndarray, "3"]) -> Tracing:
     """The state fitted from the other end of shares between two shapes of an effect,
-    where that leaves less: between the two lies a hill that no fit comes over, and an
-    effect may have been found before what tells its shapes apart.
+    where that leaves less, with all else where it stands or at the rig's own starts:
+    between the two lies a hill that no fit comes over, and an effect may have been
+    found before what tells its shapes apart.
     """
     names, seen = state.problem.model.names, np.isfinite(noise)
     specs = parameter_specs(state.problem.model.rig)
@@ -142,20 +145,22 @@ def at_other_ends(state: Tracing, noise: Float[np.ndarray, "3"]) -> Tracing:
         own = state.problem.free[name]
         if not is_of_shapes(own, specs[name]):
             continue
-        values, errors = state.point.values.copy(), state.errors
+        errors = state.errors
         above = state.check.rms(errors) > state.criteria.at_noise * noise
         if not np.any(above[seen]):
             break
-        at = names.index(name)
-        low = values[at] - own.lower < own.upper - values[at]
-        values[at] = own.upper if low else own.lower
-        if np.allclose(state.check.errors_at(values), errors, rtol=1e-3):
+        now = state.point.values[names.index(name)]
+        end = own.upper if now - own.lower < own.upper - now else own.lower
+        here, back = (placed(state.problem, v, {name: end}) for v in bases(state))
+        if np.allclose(state.check.errors_at(here), errors, rtol=1e-3):
             continue  # nothing tells the shapes apart
         state.progress(f"refit from the other end of {name}")
-        problem, point = fit_from(state, values, state.free, noise)
-        after = state.check.errors_at(point.values)
-        if better(after, errors, noise, state.criteria.beyond_chance):
-            state = replace(state, problem=problem, point=point)
+        # The one shape may have driven what else delays to its ends.
+        for values in (here, back):
+            problem, point = fit_from(state, values, state.free, noise)
+            after = state.check.errors_at(point.values)
+            if better(after, state.errors, noise, state.criteria.beyond_chance):
+                state = replace(state, problem=problem, point=point)
     return state
 
 
