@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import interpolate, linalg, signal
+from scipy import interpolate, linalg, ndimage, signal, stats
 
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.logs.log import Log
@@ -31,6 +31,17 @@ class Noise(NamedTuple):
 
     fit: Float[np.ndarray, "3"]
     check: Float[np.ndarray, "3"]
+
+
+STRETCH = 3.0
+"""Over how many periods of a signal's band it is looked whether smoothing takes off
+more than noise."""
+
+HIGHEST = 0.4
+"""Rows per period from which on a signal is no longer smoothed."""
+
+BEYOND_NOISE = 1e-4
+"""Level at which smoothing is found to take off more than noise."""
 
 
 def estimate_noise(y: Float[np.ndarray, "rows"]) -> float:
@@ -82,28 +93,33 @@ def motion_band(
 
 
 def smooth(
-    t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"], cut: float
+    t: Float[np.ndarray, "rows"],
+    y: Float[np.ndarray, "rows"],
+    cut: float | Float[np.ndarray, "rows"],
 ) -> interpolate.CubicSpline:
-    """A smoothing spline that passes what is below `cut` Hz; ticks may be uneven.
+    """A smoothing spline that passes what is below `cut` Hz, which may differ from row
+    to row; ticks may be uneven.
 
     Its response is 1/(1 + (f/cut)^4), without phase. It is the natural cubic spline
     that SciPy's `make_smoothing_spline` gives, by Reinsch's banded equations for its
     second derivatives (Numerische Mathematik 10, 1967): SciPy sets up its penalty row
     by row in Python, which is slow on long logs. The spline is in the unit of `y`.
     """
-    h = np.diff(t)
-    lam = 1 / (float(np.median(h)) * (2 * np.pi * cut) ** 4)
+    h, n = np.diff(t), t.size - 2
+    lam = np.broadcast_to(1 / (np.median(h) * (2 * np.pi * cut) ** 4), t.shape)
     slope = 1 / h
     Q = np.stack([slope[:-1], -slope[:-1] - slope[1:], slope[1:]])  # second differences
-    bands = np.zeros((3, t.size - 2))
-    bands[2] = (h[:-1] + h[1:]) / 3 + lam * np.sum(Q**2, axis=0)
-    bands[1, 1:] = h[1:-1] / 6 + lam * (Q[1, :-1] * Q[0, 1:] + Q[2, :-1] * Q[1, 1:])
-    bands[0, 2:] = lam * Q[2, :-2] * Q[0, 2:]
+    rows = [slice(i, n + i) for i in range(3)]
+    weighed = np.stack([lam[own] for own in rows]) * Q
+    bands = np.zeros((3, n))
+    bands[2] = (h[:-1] + h[1:]) / 3 + np.sum(weighed * Q, axis=0)
+    bands[1, 1:] = h[1:-1] / 6 + np.sum(weighed[1:, :-1] * Q[:2, 1:], axis=0)
+    bands[0, 2:] = weighed[2, :-2] * Q[0, 2:]
     bent = linalg.solveh_banded(bands, np.diff(np.diff(y) * slope))
     moved = np.zeros(t.size)
-    for i in range(3):
-        moved[i : t.size - 2 + i] += Q[i] * bent
-    return interpolate.CubicSpline(t, y - lam * moved, bc_type="natural")
+    for own, by in zip(rows, weighed, strict=True):
+        moved[own] += by * bent
+    return interpolate.CubicSpline(t, y - moved, bc_type="natural")
 
 
 @dataclass(frozen=True)
@@ -124,8 +140,28 @@ class SensorNoise:
     def smoothed(
         self, t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"]
     ) -> Float[np.ndarray, "rows"]:
-        """The signal smoothed at `cut`."""
-        return smooth(t, y, self.cut)(t) if np.isfinite(self.cut) else y
+        """The signal smoothed at `cut`, and higher where that takes off more than
+        noise: a stroke may be slow, and a valve that shuts in it shake it for a moment.
+        """
+        if not np.isfinite(self.cut):
+            return y
+        h = float(np.median(np.diff(t)))
+        rows = max(round(STRETCH / (self.cut * h)), 1)
+        cut = np.full(y.size, self.cut)
+        while True:
+            out = smooth(t, y, cut)(t)
+            square = ndimage.uniform_filter1d((y - out) ** 2, rows)
+            most = _most_of_noise(self.cut, h, rows * h) * self._taken_off(cut, h)
+            raised = (square > most) & (cut < HIGHEST / h)
+            if not raised.any():
+                return out
+            cut = np.where(raised, 2 * cut, cut)
+
+    def _taken_off(self, cut: np.ndarray, h: float) -> np.ndarray:
+        """Variance of what smoothing at `cut` takes off white noise."""
+        levels, which = np.unique(cut, return_inverse=True)
+        f = np.linspace(0, 0.5 / h, 512) / levels[:, None]
+        return (self.sigma**2 * np.mean((1 - 1 / (1 + f**4)) ** 2, axis=1))[which]
 
     def left(self, h: float) -> float:
         """Standard deviation of what smoothing leaves of it, with a row every `h` s."""
@@ -152,6 +188,14 @@ class SensorNoise:
         passed = np.minimum(np.abs(np.gradient(steps)), 1.0)
         within = steps + passed * draw.uniform(-0.5, 0.5, y.size) + offset
         return y + (np.round(within) - within) * self.step
+
+
+def _most_of_noise(cut: float, h: float, length: float) -> float:
+    """Largest mean square of noise above `cut`, s `length` long, in its variance; at
+    least twice: what a sensor rounds is louder while it moves.
+    """
+    freedom = max(2 * length * (0.5 / h - cut), 1.0)
+    return max(2.0, float(stats.chi2.isf(BEYOND_NOISE, freedom)) / freedom)
 
 
 def _without_steps(y: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:

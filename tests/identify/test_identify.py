@@ -773,6 +773,18 @@ def test_smoothing_is_scipys_spline(cut, jitter):
         assert np.max(np.abs(got(fine, nu) - want(fine, nu))) < 1e-6 * most
 
 
+def test_smoothing_that_differs_from_row_to_row_is_scipys_weighted_spline():
+    rng = np.random.default_rng(0)
+    t = 2.0 + 1e-3 * np.arange(900)
+    y = np.cumsum(rng.normal(size=t.size))
+    cut = 20 * 2 ** rng.integers(0, 4, t.size)
+    lam = 1 / (np.median(np.diff(t)) * (2 * np.pi * 20.0) ** 4)
+    want = make_smoothing_spline(t, y, w=(cut / 20.0) ** 4, lam=lam)
+    fine = np.linspace(t[0], t[-1], 5000)
+    off = smooth(t, y, cut)(fine) - want(fine)
+    assert np.max(np.abs(off)) < 1e-6 * np.max(np.abs(want(fine)))
+
+
 # -- the sense of motion --
 
 

@@ -20,7 +20,12 @@ from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.estimation.fit import FitPoint
 from hydrojax.identify.preparation.data import prepare_logs
-from hydrojax.identify.preparation.noise import Noise, SensorNoise, sensor_noise_of
+from hydrojax.identify.preparation.noise import (
+    Noise,
+    SensorNoise,
+    sensor_noise_of,
+    smooth,
+)
 from hydrojax.identify.preparation.resolution import _largest, _noise_of
 from hydrojax.identify.preparation.windows import at_rest
 from hydrojax.identify.tracing.criteria import Criteria
@@ -169,6 +174,40 @@ def test_a_rounded_reading_is_rounded_otherwise_the_next_time(cut, seed):
     assert np.std(off) == pytest.approx(step / math.sqrt(12), rel=0.15)
     rest = np.zeros(400)
     assert np.ptp(sensor.again(rest, seed)) == 0
+
+
+def shaken(t: np.ndarray) -> np.ndarray:
+    """A slow stroke, m, that shakes at 18 Hz for a moment."""
+    burst = 1e-4 * np.exp(-(((t - 31.0) / 0.1) ** 2)) * np.sin(2 * np.pi * 18 * t)
+    return 0.1 * np.sin(2 * np.pi * 0.05 * t) + burst
+
+
+@pytest.mark.parametrize("rate, cut", [(100.0, 12.0), (1000.0, 12.0)])
+def test_a_moment_of_fast_motion_is_not_smoothed_away(rate, cut):
+    t = np.arange(0.0, 60.0, 1 / rate)
+    sensor = SensorNoise(5e-6, 0.0, cut)
+    x = shaken(t)
+    y = sensor.again(x)
+    there = np.abs(t - 31.0) < 0.15
+    alike = np.abs(t - 31.0) > 1.0
+    got, same = sensor.smoothed(t, y), smooth(t, y, cut)(t)
+    before, after = (float(np.std((v - x)[there])) for v in (same, got))
+    assert before > 4 * sensor.sigma
+    assert after < 1.2 * sensor.sigma
+    np.testing.assert_allclose(got[alike], same[alike], atol=1e-2 * sensor.sigma)
+
+
+@pytest.mark.parametrize("rate", [100.0, 1000.0])
+def test_noise_alone_is_hardly_ever_left_for_motion(rate):
+    t = np.arange(0.0, 60.0, 1 / rate)
+    slow = 0.1 * np.sin(2 * np.pi * 0.05 * t)
+    changed = []
+    for seed in range(10):
+        sensor = SensorNoise(5e-6, 0.0, 15.0)
+        y = sensor.again(slow, seed)
+        off = np.abs(sensor.smoothed(t, y) - smooth(t, y, 15.0)(t))
+        changed.append(np.mean(off > 0.1 * sensor.sigma))
+    assert np.mean(changed) < 0.01
 
 
 def test_motion_without_a_floor_has_no_noise():
