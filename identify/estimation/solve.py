@@ -18,6 +18,11 @@ from hydrojax.jax_setup import bucket
 DAMPING = 1e-4
 """Damping at optimistix's first step size of 1, as a share of the curvature."""
 
+FARTHEST = 0.2
+"""Share of its range by which a coordinate moves in one step at most. What is linear
+where a model is far off says little of the other end: where thirty parameters are off
+by a fifth, steps without it lead into corners of the box and do not come back.
+"""
 
 ENOUGH = 1e-6
 """A fit ends when the next step is predicted to lower the cost by less than this share
@@ -33,7 +38,8 @@ class _Quadratic(NamedTuple):
 
 
 class BoxedNewton(optx.AbstractDescent):
-    """A damped Newton step inside a box: what would leave it is held at its bound.
+    """A damped Newton step inside a box: what would leave it is held at its bound, and
+    what would cross more than `FARTHEST` of it goes that far.
 
     The damping is a share of each coordinate's own curvature (Marquardt), so it does
     not depend on units. A coordinate that the residual does not see stays put.
@@ -51,21 +57,26 @@ class BoxedNewton(optx.AbstractDescent):
         """Take in the quadratic at an accepted point."""
         J = f_info.jac.as_matrix()
         H, g = J.T @ J, J.T @ f_info.residual
-        move = self._move(y, H, g, 1e-8)
+        move = self._move(y, H, g, 1e-8, 1.0)
         return _Quadratic(y, H, g, -(g @ move + 0.5 * move @ H @ move))
 
     def step(self, step_size, state):
         """The step for a damping of `DAMPING / step_size`."""
         at, H, g, _ = state
-        return self._move(at, H, g, DAMPING / step_size), optx.RESULTS.successful
+        move = self._move(at, H, g, DAMPING / step_size, FARTHEST)
+        return move, optx.RESULTS.successful
 
-    def _move(self, at, H, g, damping):
-        """Minimise the damped quadratic inside the box: an active set by its duals."""
+    def _move(self, at, H, g, damping, farthest):
+        """Minimise the damped quadratic inside the box, by at most a share of each of
+        its sides: an active set by its duals.
+        """
         d = jnp.diagonal(H)
         dead = d <= 1e-12 * jnp.max(d)
         A = H + jnp.diag(jnp.where(dead, 1.0, d * damping))
         size = jnp.diagonal(A)
-        low, high = self.lower - at, self.upper - at
+        far = farthest * (self.upper - self.lower)
+        low = jnp.maximum(self.lower - at, -far)
+        high = jnp.minimum(self.upper - at, far)
 
         def better(one, other):
             value = [m @ g + 0.5 * m @ A @ m for m in (one, other)]

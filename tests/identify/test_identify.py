@@ -28,6 +28,7 @@ from hydrojax.identify.estimation.known import Free, free_parameters
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.estimation.solve import (
     FAILURES,
+    FARTHEST,
     PATIENCE,
     minimise,
     minimise_step_by_step,
@@ -382,7 +383,7 @@ def test_a_quadratic_in_a_box_as_scipy_has_it(held, mix):
         assert np.all(out.at >= lower - 1e-12) and np.all(out.at <= upper + 1e-12)
         assert bool(out.converged)
         wanted = optimize.lsq_linear(A, b, (lower, upper), "bvls", tol=1e-12)
-        if float(out.cost) > wanted.cost * (1 + 1e-5):
+        if float(out.cost) > wanted.cost * (1 + 2e-5):
             worse.append(seed)
     assert not worse
 
@@ -428,7 +429,8 @@ def test_steps_outside_of_what_is_compiled_are_the_same(steps, upper):
     np.testing.assert_allclose(start + ours.at, whole.at, rtol=1e-7)
     assert float(ours.cost) == pytest.approx(float(whole.cost), rel=1e-7)
     assert int(ours.steps) == int(whole.steps) == len(asked) <= steps
-    assert bool(ours.converged) == bool(whole.converged) == (steps == 200)
+    enough = 20 if upper[0] < 1 else 200
+    assert bool(ours.converged) == bool(whole.converged) == (steps >= enough)
     # What comes along is of the place where it ended, not of the last one asked for.
     np.testing.assert_allclose(ours.also, start + ours.at, rtol=1e-12)
 
@@ -466,6 +468,28 @@ def test_a_failure_shortens_the_next_step_however_far_trust_has_grown():
     beyond = [-8 - a for a in asked[9:]]
     assert len(beyond) == FAILURES and beyond[0] == pytest.approx(1.0, rel=1e-3)
     assert beyond[-1] < 0.6 * beyond[0] and float(out.at[0]) == pytest.approx(-8, 0.01)
+
+
+def test_no_step_crosses_more_than_a_share_of_a_range():
+    """A wave whose frequency is a fifth off: the linear step leads out of its basin."""
+    t = np.linspace(0.0, 2.0, 400)
+    asked = []
+
+    def wave(at):
+        return np.sin(5.0 * at * t) * np.exp(-t)
+
+    def gram(d):
+        asked.append(float(d[0]))
+        at = 0.7 + d[0]
+        along = 5.0 * t * np.cos(5.0 * at * t) * np.exp(-t)
+        M = np.column_stack([along, wave(at) - wave(1.0)])
+        return M.T @ M, ()
+
+    low, high = np.array([-0.6]), np.array([1.4])
+    out = minimise_step_by_step(gram, low, high)
+    assert np.max(np.abs(np.diff(asked))) <= FARTHEST * (high - low) + 1e-12
+    assert float(out.at[0]) == pytest.approx(0.3, abs=1e-3)
+    assert bool(out.converged)
 
 
 @pytest.mark.parametrize(("slope", "moves"), [(50.0, True), (0.5, False)])
