@@ -12,7 +12,7 @@ from hydrojax.identify.estimation.balance import balanced
 from hydrojax.identify.estimation.columns import thinned
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.estimation.solve import ENOUGH
-from hydrojax.identify.estimation.starts import stuck
+from hydrojax.identify.estimation.starts import other_ends, placed, stuck
 from hydrojax.plant.places import gauge_names
 
 
@@ -75,7 +75,9 @@ def fit_from_balances(
 
     Where that leaves a parameter at an end of its range, a fit from `values` is made
     too, and the better one kept: balances see little of some (a volume, an opening),
-    and may put them where no replay comes back from.
+    and may put them where no replay comes back from. So is one from there with the
+    other shape of an effect that may have either, where something is left: between them
+    lies a hill that no fit comes over, and the one drives what else delays to its ends.
     """
     few, own = in_short(problem), problem.criteria
     near = balanced(problem, values, free)
@@ -83,14 +85,33 @@ def fit_from_balances(
     best = _fit_these_pressures(few, near, free, enough)
     if near is not values and stuck(problem, best[1], few.side(free, True)):
         progress("fit from the rig file's own values too")
-        other = _fit_these_pressures(few, values, free, enough)
-        noise = only(np.asarray(problem.batch.noise), PRESSURES)
-        left = [np.sum((p.rms(p.errors_at(v)) / noise) ** 2) for p, v in (best, other)]
-        if left[1] < left[0] or not np.isfinite(left[0]):
-            best = other
+        best = _nearer(best, _fit_these_pressures(few, values, free, enough))
+    for name, end in other_ends(few, best[1], free):
+        if np.all(_left(*best) <= own.at_noise):
+            break
+        progress(f"fit from the other end of {name} too")
+        start = placed(few, values, {name: end})
+        best = _nearer(best, _fit_these_pressures(few, start, free, enough))
     if few is problem:
         return best
     return _fit_these_pressures(problem, best[1], free, own.enough_at_first)
+
+
+Fitted = tuple[Problem, Float[np.ndarray, "n"]]
+
+
+def _nearer(one: Fitted, other: Fitted) -> Fitted:
+    """Which of two leaves less of the pressures; the other if the one has no answer."""
+    left = [np.sum(_left(*fit) ** 2) for fit in (one, other)]
+    return other if left[1] < left[0] or not np.isfinite(left[0]) else one
+
+
+def _left(
+    problem: Problem, values: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "channels"]:
+    """What is left of each pressure, over its noise; 0 of what is not compared."""
+    noise = only(np.asarray(problem.batch.noise), PRESSURES)
+    return problem.rms(problem.errors_at(values)) / noise
 
 
 def fit_all(

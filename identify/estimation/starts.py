@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import repeat
@@ -11,8 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.identify.estimation.columns import thinned
+from hydrojax.identify.estimation.known import is_of_shapes
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.jax_setup import cores
+from hydrojax.parameters import parameter_specs
 
 
 def best_start(
@@ -54,6 +56,21 @@ def placed(
         f = problem.free[name]
         values[problem.model.names.index(name)] = np.clip(value, f.lower, f.upper)
     return values
+
+
+def other_ends(
+    problem: Problem, values: Float[np.ndarray, "n"], names: Sequence[str]
+) -> Iterator[tuple[str, float]]:
+    """Those of the names that are shares between two shapes of an effect, each with the
+    end of its range that it is further from.
+    """
+    specs = parameter_specs(problem.model.rig)
+    for name in names:
+        own = problem.free[name]
+        if is_of_shapes(own, specs[name]):
+            now = values[problem.model.names.index(name)]
+            low = now - own.lower < own.upper - now
+            yield name, own.upper if low else own.lower
 
 
 def stuck(

@@ -90,8 +90,7 @@ def _one_by_one(
     was added while others were still missing. Several at once take the place of the
     first. And the name of the first, if others helped beside it; else nothing.
     """
-    # Which shape what is declared has, ahead of what it lacks: no fit comes over.
-    begun = state = at_other_ends(state, noise)
+    begun = state
     rounds, first = state.criteria.rounds, ""
     for left in reversed(range(rounds + 1)):
         more = _scored_round(state, effects, noise) if left else state

@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from hydrojax.identify.estimation.fit import FitPoint
-from hydrojax.identify.estimation.known import is_of_shapes
 from hydrojax.identify.estimation.problem import Problem
-from hydrojax.identify.estimation.starts import placed
+from hydrojax.identify.estimation.starts import other_ends, placed
 from hydrojax.identify.preparation.resolution import NoiseBy
 from hydrojax.identify.tracing.grids import bases
 from hydrojax.identify.tracing.in_balances import near_in_balances
@@ -28,7 +27,6 @@ from hydrojax.identify.tracing.refit import fit_from, refit
 from hydrojax.identify.tracing.score import Projection
 from hydrojax.identify.tracing.screen import scores_of, size_that_matters
 from hydrojax.identify.tracing.state import Tracing, free_names, strengths
-from hydrojax.parameters import parameter_specs
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.places import place_of
 
@@ -139,18 +137,12 @@ def at_other_ends(state: Tracing, noise: Float[np.ndarray, "3"]) -> Tracing:
     between the two lies a hill that no fit comes over, and an effect may have been
     found before what tells its shapes apart.
     """
-    names, seen = state.problem.model.names, np.isfinite(noise)
-    specs = parameter_specs(state.problem.model.rig)
-    for name in state.free:
-        own = state.problem.free[name]
-        if not is_of_shapes(own, specs[name]):
-            continue
+    seen = np.isfinite(noise)
+    for name, end in other_ends(state.problem, state.point.values, state.free):
         errors = state.errors
         above = state.check.rms(errors) > state.criteria.at_noise * noise
         if not np.any(above[seen]):
             break
-        now = state.point.values[names.index(name)]
-        end = own.upper if now - own.lower < own.upper - now else own.lower
         here, back = (placed(state.problem, v, {name: end}) for v in bases(state))
         if np.allclose(state.check.errors_at(here), errors, rtol=1e-3):
             continue  # nothing tells the shapes apart

@@ -198,6 +198,33 @@ def test_a_range_met_from_the_balances_is_fitted_from_the_rigs_own_values_too(
     assert len(said) == 1
 
 
+@pytest.mark.parametrize(
+    "errors, chosen, asked",
+    [((2.0, 1.0), "other", 1), ((2.0, 3.0), "own", 1), ((1.0, 0.5), "own", 0)],
+)
+def test_the_other_shape_of_a_declared_effect_is_fitted_where_something_is_left(
+    opened, monkeypatch, errors, chosen, asked
+):
+    problem, _, free, _ = opened
+    own = problem.initial_values()
+    at, noise = problem.model.names.index("beta"), np.asarray(problem.batch.noise)
+    end = problem.free["beta"].upper
+    said: list[str] = []
+    monkeypatch.setattr(fit, "_fit_these_pressures", lambda p, v, *_: (p, v))
+    monkeypatch.setattr(fit, "balanced", lambda _, values, *__: values)
+    monkeypatch.setattr(fit, "other_ends", lambda *_: iter([("beta", end)]))
+    off = {False: errors[0], True: errors[1]}
+    monkeypatch.setattr(
+        Problem,
+        "rms",
+        lambda _, at_end: np.where(np.isfinite(noise), off[at_end] * noise, 0.0),
+    )
+    monkeypatch.setattr(Problem, "errors_at", lambda _, v: bool(v[at] == end))
+    _, values = fit.fit_from_balances(problem, own, free, said.append)
+    assert (values[at] == end) == (chosen == "other") and len(said) == asked
+    assert np.array_equal(np.delete(values, at), np.delete(own, at))
+
+
 def test_pressures_are_weighed_by_what_a_fit_leaves_of_them(opened, monkeypatch):
     """Not by what the declared model left, before anything was found."""
     state = unfitted(opened)
@@ -447,6 +474,36 @@ def test_a_share_is_tried_from_its_other_end(opened, monkeypatch, ends, s):
     assert (found is state) == (not s)
 
 
+@pytest.mark.parametrize("better", ["here", "back"])
+def test_the_other_end_is_fitted_from_the_rigs_own_starts_too(
+    opened, monkeypatch, better
+):
+    state = unfitted(opened, "valve_rate_limit")
+    names = state.problem.model.names
+    at, beta = names.index("valve_rate_limit.s"), names.index("beta")
+    start, values = state.problem.free["beta"].start, state.point.values.copy()
+    values[beta] = 1.2 * start
+    state = replace(state, point=replace(state.point, values=values))
+
+    class Apart(Ends):
+        """Less is left at the other end, least of all from one of the two places."""
+
+        def errors_at(self, values):
+            there = (values[beta] == start) == (better == "back")
+            return self.ends[int(values[at] > 0.5) * (1 + there)].sse
+
+    offs = ((4.0, 4.0, 1.0), (3.0, 4.0, 1.0), (1.0, 1.0, 1.0))
+    state = replace(state, check=Apart(state.noise, at, offs))
+
+    def fit_from(state, values, free, noise):
+        return state.problem, replace(state.point, values=values)
+
+    monkeypatch.setattr(rivals, "fit_from", fit_from)
+    found = rivals.at_other_ends(state, state.noise)
+    assert found.named["valve_rate_limit.s"] == 1.0
+    assert found.named["beta"] == (start if better == "back" else 1.2 * start)
+
+
 @pytest.mark.parametrize(("first", "asked"), [(1.0, 2), (0.5, 1)])
 def test_a_fit_that_ends_at_an_end_of_an_effects_range_is_made_from_elsewhere_too(
     opened, monkeypatch, first, asked
@@ -489,19 +546,3 @@ def test_a_fit_that_ends_at_an_end_of_an_effects_range_is_made_from_elsewhere_to
     _, point = refit.refit(quiet, effect, score, state.noise)
     assert len(ends) == asked
     np.testing.assert_array_equal(point.values, ends[-1])
-
-
-def test_the_shape_of_what_is_declared_is_asked_for_ahead_of_what_is_missing(
-    opened, monkeypatch
-):
-    state, asked = unfitted(opened), []
-
-    def noted(what):
-        return lambda state, *_: asked.append(what) or state
-
-    monkeypatch.setattr(loop, "at_other_ends", noted("shape"))
-    monkeypatch.setattr(loop, "_scored_round", noted("effects"))
-    monkeypatch.setattr(loop, "exchanged", lambda state, *_: state)
-    monkeypatch.setattr(loop, "_or_several", lambda _, found, *__: found)
-    loop._one_by_one(state, {}, state.noise)
-    assert asked == ["shape", "effects", "shape"]
