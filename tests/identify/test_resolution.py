@@ -429,7 +429,10 @@ def test_a_log_is_smoothed_where_its_own_motion_ends(recorded):
     common = sensor_noise_of(pieces)
     own = [_noise_of(each, spec, common, Criteria()) for each in logs]
     left = [
-        [np.sqrt(np.mean((by.smoothed(*piece) - x) ** 2)) for by in (mine, common)]
+        [
+            np.sqrt(np.mean((y - x) ** 2))
+            for y in (mine.smoothed(*piece), smooth(*piece, common.cut)(t))
+        ]
         for mine, piece, x in zip(own, pieces, truths, strict=True)
     ]
     assert own[0].cut < common.cut < own[1].cut
