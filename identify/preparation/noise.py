@@ -38,7 +38,7 @@ STRETCH = 3.0
 more than noise."""
 
 HIGHEST = 0.4
-"""Rows per period from which on a signal is no longer smoothed."""
+"""Periods per row from which on a cut, near half the rate then, is not raised."""
 
 BEYOND_NOISE = 1e-4
 """Level at which smoothing is found to take off more than noise."""
@@ -140,8 +140,9 @@ class SensorNoise:
     def smoothed(
         self, t: Float[np.ndarray, "rows"], y: Float[np.ndarray, "rows"]
     ) -> Float[np.ndarray, "rows"]:
-        """The signal smoothed at `cut`, and higher where that takes off more than
-        noise: a stroke may be slow, and a valve that shuts in it shake it for a moment.
+        """The signal, in its unit, smoothed at `cut`, and higher where that takes off
+        more than noise: a stroke may be slow, and a valve that shuts in it shake it for
+        a moment.
         """
         if not np.isfinite(self.cut):
             return y
