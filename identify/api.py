@@ -19,6 +19,7 @@ from hydrojax.identify.checking.mended import Findings, mended_case
 from hydrojax.identify.estimation.columns import room_of
 from hydrojax.identify.estimation.fit import (
     FitPoint,
+    fit_blind,
     fit_force,
     fit_from_balances,
     fit_jointly,
@@ -28,7 +29,7 @@ from hydrojax.identify.estimation.fit import (
 )
 from hydrojax.identify.estimation.known import COULOMB, free_effect, free_parameters
 from hydrojax.identify.estimation.problem import Problem, in_play
-from hydrojax.identify.estimation.starts import best_start
+from hydrojax.identify.estimation.starts import ranked_starts
 from hydrojax.identify.inference.profile import profiles
 from hydrojax.identify.inference.tolerance import with_tolerances
 from hydrojax.identify.inference.uncertainty import Uncertainty, estimate_uncertainty
@@ -114,15 +115,18 @@ def _fit_base(
     Raises:
         InputError: values of the rig file at `path` that have no finite answer.
     """
-    values = problem.initial_values()
+    values, others = problem.initial_values(), []
     starts = max(starts, problem.criteria.blind_starts) if problem.blind else starts
     if starts > 1:
         progress(f"{starts} starts on every few windows")
-        values = best_start(problem, values, free, starts)
+        values, *others = ranked_starts(problem, values, free, starts)
     progress("fit the declared model")
-    if problem.sees_pressures and problem.side(free, True):
-        problem, values = fit_from_balances(problem, values, free, progress)
-    done, point = fit_force(problem, values, free)
+    if problem.blind:
+        done, point = fit_blind(problem, [values, *others], free, progress)
+    else:
+        if problem.sees_pressures and problem.side(free, True):
+            problem, values = fit_from_balances(problem, values, free, progress)
+        done, point = fit_force(problem, values, free)
     if not np.isfinite(done.batch.P_0).all():
         raise InputError(
             f"{path}: with the values under [parameters] and [geometry] the model has "

@@ -145,6 +145,30 @@ def fit_force(
     return fit_jointly(problem, values, free, weights)
 
 
+def fit_blind(
+    problem: Problem,
+    starts: Sequence[Float[np.ndarray, "n"]],
+    free: Sequence[str],
+    progress: Callable[[str], None] = lambda _: None,
+) -> tuple[Problem, FitPoint]:
+    """`fit_force` where no pressure is measured: from one start after the other until
+    the force is at its noise, or what leaves least of it. Where initial pressures are
+    guesses too, a volume may end at 0 from starts that looked as good as any.
+    """
+    noise, best, least = np.asarray(problem.batch.noise)[2], None, np.inf
+    for i, values in enumerate(starts):
+        if i:
+            progress("fit the declared model from another start")
+        fitted = fit_force(problem, values, free)
+        left = fitted[0].rms(fitted[0].errors_at(fitted[1].values))[2] / noise
+        if best is None or left < least:
+            best, least = fitted, left
+        if least <= problem.criteria.at_noise:
+            break
+    assert best is not None, "there is one start at least"
+    return best
+
+
 def fit_on(
     problem: Problem, values: Float[np.ndarray, "n"], free: Sequence[str]
 ) -> tuple[Problem, FitPoint]:

@@ -17,17 +17,18 @@ from hydrojax.jax_setup import cores
 from hydrojax.parameters import parameter_specs
 
 
-def best_start(
+def ranked_starts(
     problem: Problem,
     values: Float[np.ndarray, "n"],
     free: Sequence[str],
     count: int,
     seed: int = 0,
-) -> Float[np.ndarray, "n"]:
-    """The best of `count` fits from starts around `values` (itself among them).
+) -> list[Float[np.ndarray, "n"]]:
+    """Where `count` fits from starts around `values` (itself among them) end, the best
+    first.
 
     All are made on a few windows spread over the logs. A start that fails, to no number
-    or a poor end, only loses.
+    or a poor end, only comes last.
     """
     free = tuple(free)
     index = np.array([problem.model.names.index(n) for n in free])
@@ -44,7 +45,8 @@ def best_start(
     with ThreadPoolExecutor(cores()) as pool:
         ends = list(pool.map(few.solve, starts, repeat(free)))
     cost = np.array([float(fit.cost) for _, fit in ends])
-    return ends[int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))][0]
+    order = np.argsort(np.where(np.isfinite(cost), cost, np.inf), kind="stable")
+    return [ends[i][0] for i in order]
 
 
 def placed(
