@@ -54,11 +54,16 @@ def pruned(state: Tracing, noise: Float[np.ndarray, "3"], fresh: int = 1) -> Tra
 
 
 def shed(state: Tracing) -> Tracing:
-    """The state without effects that a later fit has brought to nothing."""
+    """The state without effects that a later fit has brought to less than their least;
+    fitted again where that is seen, for what was found beside one may go by it.
+    """
+    noise = state.noise
     for name in [a.name for a in state.added]:
         if negligible(state.problem, state.point.values, state.effects[name]):
             state.progress(f"let go of {name}")
             less = taken_out(state, name)
+            if np.any(_rms(less) > _rms(state) + state.criteria.matters * noise):
+                less = without(state, name, noise)
             state = replace(less, tried={**less.tried, name: "too small"})
     return state
 
@@ -195,6 +200,8 @@ def _exchanged(
     for rival, problem, point in _in_place_of(state, name, rivals, noise):
         after = state.check.errors_at(point.values)
         by = may_rise(state, [rivals[rival]], noise)
+        if negligible(problem, point.values, rivals[rival]):
+            continue
         if judge(state, own, after, noise, by) != "helps":
             continue
         state.progress(f"{rival} takes the place of {name}")
@@ -272,9 +279,10 @@ def with_look_alikes(state: Tracing) -> Tracing:
         for name in near[: criteria.rivals]:
             state.progress(f"refit with {name} in place of {a.name}")
             s = scores_of(less, {name: state.effects[name]}, noise)[name]
-            _, point = refit(less, state.effects[name], s, noise)
+            problem, point = refit(less, state.effects[name], s, noise)
             after = less.check.errors_at(point.values)
-            if not worse(after, own, noise, criteria):
+            small = negligible(problem, point.values, state.effects[name])
+            if not small and not worse(after, own, noise, criteria):
                 alike.append(name)
         added.append(replace(a, cannot_tell_from=tuple(alike)))
     return replace(state, added=tuple(added))
