@@ -242,6 +242,18 @@ def _on_path(of: Inputs) -> Inputs:
     return along_path(of, lambda own: solved(own.flow, FLOW, NOT_NEGATIVE).error)
 
 
+def _beside_effects(given: Inputs, mended: Inputs) -> float:
+    """Decades by which a mend lowers what is left of the flow beside all that effects
+    do to it: next to a pressure compensator's flow that of an orifice is nearly right
+    under a supply that is much too high.
+    """
+    before, after = (
+        _share(of.flow_error_beside_effects, of.flow.y, 1e-10, 1.0)
+        for of in (given, mended)
+    )
+    return before - after
+
+
 def _likeliest(
     trials: list[tuple[Mend, Trial]], equal: float = EQUAL
 ) -> tuple[Mend, Trial]:
@@ -268,7 +280,9 @@ def mends_wanted(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
             near = _on_path(now) if slow else now
             units = [(m, tried(m.applied(near))) for m in unit_mends(now)]
             unit = _likeliest(units, SAME)[0]
-            trials.append((unit, judged(unit.applied(now))))
+            there = unit.applied(now)
+            if before.suspicious or _beside_effects(near, _on_path(there)) > CLEAR:
+                trials.append((unit, judged(there)))
         mend, after = _likeliest(trials)
         if before.cost - after.cost < CLEAR:
             break

@@ -9,6 +9,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from scipy import constants
 
 import hydrojax as hj
 from benchmarks.machines import files, record
@@ -166,6 +167,22 @@ def test_a_slow_valve_does_not_hide_exchanged_pressures(tmp_path):
 
     (found,) = hj.check(rig, [exchanged(log) for log in logs]).found
     assert (found.input, found.finding) == ("P_a1, P_a2", "exchanged")
+
+
+@pytest.mark.slow
+def test_a_flow_that_is_compensated_is_no_supply_in_another_unit(tmp_path):
+    """It hangs little on the supply, as through an orifice under one too high."""
+    files.write(record.record([118])[0], tmp_path)
+    rig = hj.RigFile.load(tmp_path / "rig.toml")
+    logs = [hj.Log.load(p, rig.channels) for p in sorted(tmp_path.glob("fit*.csv"))]
+    assert hj.check(rig, logs).found == ()
+
+    def low(log):
+        P_s = log.signals["P_s"] / (1e-3 * constants.psi)
+        return replace(log, signals=log.signals | {"P_s": P_s})
+
+    found = hj.check(rig, list(map(low, logs))).found[0]
+    assert (found.input, found.finding) == ("P_s", "unit")
 
 
 def test_a_late_command_is_not_a_late_position(honest):
