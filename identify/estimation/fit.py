@@ -162,7 +162,7 @@ def fit_blind(
         fitted = fit_force(problem, values, free)
         left = fitted[0].rms(fitted[0].errors_at(fitted[1].values))[2] / noise
         if best is None or left < least:
-            best, least = fitted, left
+            best, least = fitted, left if np.isfinite(left) else np.inf
         if least <= problem.criteria.at_noise:
             break
     assert best is not None, "there is one start at least"

@@ -22,8 +22,8 @@ from hydrojax.effects import EFFECTS
 from hydrojax.identify import api
 from hydrojax.identify.case import Case, open_case
 from hydrojax.identify.checking.inputs import inputs_of
-from hydrojax.identify.estimation import starts
-from hydrojax.identify.estimation.fit import fit_all
+from hydrojax.identify.estimation import fit, starts
+from hydrojax.identify.estimation.fit import FitPoint, fit_all
 from hydrojax.identify.estimation.known import Free, free_parameters
 from hydrojax.identify.estimation.problem import Problem
 from hydrojax.identify.estimation.solve import (
@@ -309,6 +309,37 @@ def test_a_failed_start_only_loses(recorded, monkeypatch):
     index = [problem.model.names.index(n) for n in names]
     held = np.delete(np.arange(len(values)), index)
     np.testing.assert_array_equal(best[held], values[held])
+
+
+@pytest.mark.parametrize(
+    ("left", "tried", "best"),
+    [
+        ([1.0, 9.0, 9.0], 1, 0),
+        ([3.0, 1.05, 9.0], 2, 1),
+        ([3.0, 2.0, 2.5], 3, 1),
+        ([np.nan, 2.0, 2.5], 3, 1),
+    ],
+    ids=["the first", "as soon as it is at its noise", "never", "no number"],
+)
+def test_a_blind_fit_tries_one_start_after_another(monkeypatch, left, tried, best):
+    noise = np.array([np.inf, np.inf, 2.0])
+    problem = SimpleNamespace(
+        batch=SimpleNamespace(noise=noise),
+        criteria=Criteria(),
+        errors_at=lambda values: values[0],
+        rms=lambda left: np.array([0.0, 0.0, 2.0 * left]),
+    )
+    begun = []
+
+    def fit_force(problem, values, free):
+        begun.append(values[0])
+        return problem, FitPoint(np.array([left[int(values[0])]]), noise, 0, True)
+
+    monkeypatch.setattr(fit, "fit_force", fit_force)
+    starts_given = [np.array([float(i)]) for i in range(3)]
+    _, point = fit.fit_blind(problem, starts_given, ())
+    assert begun == list(range(tried))
+    assert point.values[0] == left[best]
 
 
 # -- the solver --
