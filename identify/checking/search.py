@@ -6,8 +6,9 @@ what makes both balances close with constants that a rig can have is taken for t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import constants
@@ -197,8 +198,7 @@ def _odd_signals(of: Inputs) -> dict[str, float]:
         ends = of.spec.parameters.get("delta_1")
         more = ends.range[1] if ends and ends.range else 0.1 * of.geometry.length
         out["travel"] = _beyond(far, 0.0 + 1e-30, of.geometry.length / 2 + more)
-    # A load-sensing pump stands by far below a load that a check valve holds.
-    P_s = float(np.quantile(np.concatenate([s.P_s for s in of.stretches]), 0.99))
+    P_s = _highest_supply(of)
     if of.has_flow:
         out["P_s"] = _beyond(max(P_s, 1.0), *SUPPLIES)
     for i, name in enumerate(("P_a1", "P_a2")):
@@ -210,6 +210,13 @@ def _odd_signals(of: Inputs) -> dict[str, float]:
             if np.quantile(own, 0.05) < VACUUM:
                 out[name] = out.get(name, 0.0) + 1.0
     return {n: v for n, v in out.items() if v > 0}
+
+
+def _highest_supply(of: Inputs) -> float:
+    """Supply pressure that 99 in 100 ticks stay below, Pa: a load-sensing pump stands
+    by far below a load that a check valve holds.
+    """
+    return float(np.quantile(np.concatenate([s.P_s for s in of.stretches]), 0.99))
 
 
 def _odd_constants(of: Inputs, fit: Fitted) -> dict[str, float]:
@@ -255,11 +262,28 @@ def _beside_effects(given: Inputs, mended: Inputs) -> float:
 
 
 def _likeliest(
-    trials: list[tuple[Mend, Trial]], equal: float = EQUAL
+    trials: list[tuple[Mend, Trial]],
+    equal: float = EQUAL,
+    beside: Callable[[Mend], float] = lambda _: 0.0,
 ) -> tuple[Mend, Trial]:
-    """The first that does as well as the best."""
-    lowest = min(t.cost for _, t in trials)
-    return next((m, t) for m, t in trials if t.cost <= lowest + equal)
+    """The first that does as well as the best, by its cost and what is `beside` it."""
+    costs = [t.cost + beside(m) for m, t in trials]
+    return next(
+        one for one, c in zip(trials, costs, strict=True) if c <= min(costs) + equal
+    )
+
+
+def _from_declared(of: Inputs, mend: Mend) -> float:
+    """Decades between the logged supply pressure, mended, and that of the rig file,
+    which tells units apart where the flow does not; 0 where one of the two is not
+    there. It blames no input: a pump that follows the load, or a run at a low pressure,
+    stays below what is declared.
+    """
+    declared = of.spec.supply.get("P_s")
+    if declared is None or "P_s" not in of.logged:
+        return 0.0
+    highest = _highest_supply(mend.applied(of))
+    return abs(float(np.log10(max(highest, 1.0) / declared)))
 
 
 def mends_wanted(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
@@ -279,7 +303,7 @@ def mends_wanted(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
             # They are many: the valve's path is looked for anew behind the best only.
             near = _on_path(now) if slow else now
             units = [(m, tried(m.applied(near))) for m in unit_mends(now)]
-            unit = _likeliest(units, SAME)[0]
+            unit = _likeliest(units, SAME, partial(_from_declared, now))[0]
             there = unit.applied(now)
             if before.suspicious or _beside_effects(near, _on_path(there)) > CLEAR:
                 trials.append((unit, judged(there)))

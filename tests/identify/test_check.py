@@ -185,6 +185,22 @@ def test_a_flow_that_is_compensated_is_no_supply_in_another_unit(tmp_path):
     assert (found.input, found.finding) == ("P_s", "unit")
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", (1e-3 * constants.psi, 10.0, 1e5 / constants.psi))
+def test_the_declared_supply_tells_units_apart(tmp_path, factor):
+    """Behind a slow valve the flow goes as well with two or three of them."""
+    files.write(record.record([116])[0], tmp_path)
+    rig = hj.RigFile.load(tmp_path / "rig.toml")
+    logs = [hj.Log.load(p, rig.channels) for p in sorted(tmp_path.glob("fit*.csv"))]
+
+    def low(log):
+        return replace(log, signals=log.signals | {"P_s": log.signals["P_s"] / factor})
+
+    (found,) = hj.check(rig, list(map(low, logs))).found
+    assert (found.input, found.finding) == ("P_s", "unit")
+    assert found.factor == pytest.approx(factor, rel=1e-3)
+
+
 def test_a_late_command_is_not_a_late_position(honest):
     """A dead time of the valve is an effect of the rig."""
     rig, logs = honest
