@@ -42,6 +42,18 @@ def slowly(names, *slow):
 TOLD = {lie.name: lie for lie in lies_of("pull-pull", "psi")}
 
 
+def machine(seed, folder):
+    """A machine of `benchmarks.machines`: its rig file and the logs to fit."""
+    files.write(record.record([seed])[0], folder)
+    rig = hj.RigFile.load(folder / "rig.toml")
+    return rig, [hj.Log.load(p, rig.channels) for p in sorted(folder.glob("fit*.csv"))]
+
+
+def times(log, name, factor):
+    """The log with a signal multiplied."""
+    return replace(log, signals=log.signals | {name: factor * log.signals[name]})
+
+
 @pytest.fixture(scope="module")
 def honest(recorded):
     folder = recorded(1)
@@ -156,9 +168,7 @@ def test_a_long_dead_time_is_not_a_late_position(seed, tmp_path):
 @pytest.mark.slow
 def test_a_slow_valve_does_not_hide_exchanged_pressures(tmp_path):
     """At 100 Hz, with dead time, lag and dead band between command and flow."""
-    files.write(record.record([21])[0], tmp_path)
-    rig = hj.RigFile.load(tmp_path / "rig.toml")
-    logs = [hj.Log.load(p, rig.channels) for p in sorted(tmp_path.glob("fit*.csv"))]
+    rig, logs = machine(21, tmp_path)
     assert hj.check(rig, logs).found == ()
 
     def exchanged(log):
@@ -172,16 +182,11 @@ def test_a_slow_valve_does_not_hide_exchanged_pressures(tmp_path):
 @pytest.mark.slow
 def test_a_flow_that_is_compensated_is_no_supply_in_another_unit(tmp_path):
     """It hangs little on the supply, as through an orifice under one too high."""
-    files.write(record.record([118])[0], tmp_path)
-    rig = hj.RigFile.load(tmp_path / "rig.toml")
-    logs = [hj.Log.load(p, rig.channels) for p in sorted(tmp_path.glob("fit*.csv"))]
+    rig, logs = machine(118, tmp_path)
     assert hj.check(rig, logs).found == ()
 
-    def low(log):
-        P_s = log.signals["P_s"] / (1e-3 * constants.psi)
-        return replace(log, signals=log.signals | {"P_s": P_s})
-
-    found = hj.check(rig, list(map(low, logs))).found[0]
+    low = [times(log, "P_s", 1e3 / constants.psi) for log in logs]
+    found = hj.check(rig, low).found[0]
     assert (found.input, found.finding) == ("P_s", "unit")
 
 
@@ -189,14 +194,9 @@ def test_a_flow_that_is_compensated_is_no_supply_in_another_unit(tmp_path):
 @pytest.mark.parametrize("factor", (1e-3 * constants.psi, 10.0, 1e5 / constants.psi))
 def test_the_declared_supply_tells_units_apart(tmp_path, factor):
     """Behind a slow valve the flow goes as well with two or three of them."""
-    files.write(record.record([116])[0], tmp_path)
-    rig = hj.RigFile.load(tmp_path / "rig.toml")
-    logs = [hj.Log.load(p, rig.channels) for p in sorted(tmp_path.glob("fit*.csv"))]
+    rig, logs = machine(116, tmp_path)
 
-    def low(log):
-        return replace(log, signals=log.signals | {"P_s": log.signals["P_s"] / factor})
-
-    (found,) = hj.check(rig, list(map(low, logs))).found
+    (found,) = hj.check(rig, [times(log, "P_s", 1 / factor) for log in logs]).found
     assert (found.input, found.finding) == ("P_s", "unit")
     assert found.factor == pytest.approx(factor, rel=1e-3)
 
