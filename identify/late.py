@@ -203,8 +203,9 @@ def with_command_between(
 def _balances_want(
     problem: Problem, point: FitPoint, free: Sequence[str], held: Data, on: Data
 ) -> bool:
-    """Whether the flow balances, fitted a few steps on, are left with plainly less of a
-    command that runs `on` than of one that is `held`: they are fitted in a moment.
+    """Whether the flow balances, fitted a few steps on, are left with less of a command
+    that runs `on` than of one that is `held`: they are fitted in a moment, and do not
+    say how much of either is noise.
     """
 
     def left(data: Data) -> float:
@@ -213,7 +214,7 @@ def _balances_want(
         here, steps = evaluate(point.values, free), problem.criteria.far_steps
         return descend(few, evaluate, here, free, steps).left
 
-    return left(on) < (1 - problem.criteria.fair_share) * left(held)
+    return left(on) < (1 - problem.criteria.matters) * left(held)
 
 
 def with_late_signal(

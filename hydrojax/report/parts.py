@@ -267,8 +267,8 @@ class InputRecord(Part):
         description="signal or key of the rig file; several, joined by commas"
     )
     finding: str = Field(
-        description="`sign`, `exchanged`, `unit`, `delay`, `held`, `factor`, "
-        "`left out`, `noise`, `stray`, `stuck`, `clipped` or `vacuum`"
+        description="`sign`, `exchanged`, `unit`, `delay`, `held`, `zero`, "
+        "`factor`, `left out`, `noise`, `stray`, `stuck`, `clipped` or `vacuum`"
     )
     factor: float | None = Field(
         None, description="by which to multiply it; null where that mends nothing"

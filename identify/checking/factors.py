@@ -45,6 +45,11 @@ AT_FLOOR = 1.5
 """Error over what the sensors' noise makes of it up to which a balance closes."""
 HELD = 1.25
 """Ratio of errors from which a constant that is left out is called."""
+ZERO_SHARE = 0.9
+"""Share of what two free volumes take off the flow's squared error that the zero of the
+position must take: it makes one of them larger by as much as the other smaller."""
+ZERO_SURE = 5.0
+"""Standard errors by which the position's zero must be off."""
 LATEST = 0.05
 """Seconds that a position is looked for to be late, at most."""
 LATE = 0.8
@@ -68,6 +73,17 @@ class Factor:
 
     input: str
     factor: float
+    given: float
+    mended: float
+
+
+@dataclass(frozen=True)
+class Zero:
+    """A position whose zero lies `off` m too high: the error of the flow as given, and
+    mended, m^3.
+    """
+
+    off: float
     given: float
     mended: float
 
@@ -249,6 +265,37 @@ def _supply_factor(of: Inputs) -> Factor | None:
     if abs(factor - 1) < SUPPLY or mended > SHOWS * given:
         return None
     return Factor("P_s", factor, given, mended)
+
+
+def position_zero(of: Inputs) -> Zero | None:
+    """By how much the position's zero is off, where the rig file holds both volumes at
+    the ends of the stroke; None where it is not.
+
+    It makes one chamber longer by as much as the other shorter, beside all that effects
+    do to the flow. No dead volume does that: it makes neither smaller.
+    """
+    own = [of.spec.parameters.get(n) for n in OFFSETS]
+    known = [p.start for p in own if p is not None and p.range is None]
+    if len(known) < len(OFFSETS):
+        return None
+    table = of.flow_beside_effects
+    first, second = (table.columns[n] for n in OFFSETS)
+    held = table.columns["beta"] + known[0] * first + known[1] * second
+    table = table.with_columns(Table(table.y, {"beta": held, "zero": first - second}))
+    base = [n for n in table.columns if n not in (*OFFSETS, "zero")]
+    given, free = (solved(table, (*base, *more)) for more in ((), OFFSETS))
+    moved = solved(table, (*base, "zero"))
+    takes = given.error**2 - moved.error**2
+    if moved.error > CLEARLY * given.error or moved.values["beta"] <= 0:
+        return None
+    if takes < ZERO_SHARE * (given.error**2 - free.error**2):
+        return None
+    if abs(moved.values["zero"]) < ZERO_SURE * moved.std["zero"]:
+        return None
+    if free.values[OFFSETS[0]] * free.values[OFFSETS[1]] >= 0:
+        return None
+    off = moved.values["zero"] / moved.values["beta"]
+    return Zero(off, given.error, moved.error)
 
 
 def flow_left_out(of: Inputs) -> LeftOut | None:

@@ -17,6 +17,7 @@ from hydrojax.identify.checking.factors import (
     force_left_out,
     gauge_delay,
     position_delay,
+    position_zero,
     supply_factor,
 )
 from hydrojax.identify.checking.inputs import Inputs
@@ -69,6 +70,8 @@ def inputs_that_lie(
         if factor is not None:
             found.append(words.of_supply(factor, mended))
             mended = mended.scaled("P_s", factor.factor)
+        if (zero := position_zero(mended)) is not None:
+            found.append(words.of_zero(zero, mended))
         if (out := flow_left_out(mended)) is not None:
             found.append(
                 words.of_left_out(out, "Pa", words.stiffness(mended), known, of)

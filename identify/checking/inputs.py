@@ -12,8 +12,6 @@ from jaxtyping import Float
 from hydrojax.errors import InputError
 from hydrojax.identify.checking.balances import (
     EDGES,
-    FLOW,
-    FLOW_RIVALS,
     FRICTION,
     OFFSETS,
     SETTLE,
@@ -126,12 +124,16 @@ class Inputs:
         return Table.stacked(list(own))
 
     @cached_property
+    def flow_beside_effects(self) -> Table:
+        """The balance of flow with the columns of all rival effects beside its own."""
+        own = [flow_rivals(s, self.geometry, self.ticks[0]) for s in self.stretches]
+        return self.flow.with_columns(Table.stacked(own))
+
+    @cached_property
     def flow_error_beside_effects(self) -> float:
         """RMS left of the flow balance with all rival effects in it, m^3."""
-        own = [flow_rivals(s, self.geometry, self.ticks[0]) for s in self.stretches]
-        table = self.flow.with_columns(Table.stacked(own))
-        more = (n for names in FLOW_RIVALS.values() for n in names)
-        return solved(table, (*FLOW, *dict.fromkeys(more))).error
+        table = self.flow_beside_effects
+        return solved(table, table.columns).error
 
     def force_rivals(self, shape: Shape) -> Table:
         """Columns of effects beside those of `force`; see `force_rivals`."""

@@ -14,7 +14,7 @@ from hydrojax.identify.preparation.strays import without_strays
 from hydrojax.logs.log import Log, brought_forward
 from hydrojax.rigfile.schema import RigFile
 
-MENDED = ("sign", "exchanged", "unit", "delay", "held", "left out")
+MENDED = ("sign", "exchanged", "unit", "delay", "held", "zero", "left out")
 """Findings that are mended before a trace. A factor of an area or a gain is not: no log
 tells it from an effect of the load cell."""
 

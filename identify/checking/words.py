@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from hydrojax import units
-from hydrojax.identify.checking.balances import FLOW, NOT_NEGATIVE
-from hydrojax.identify.checking.factors import Delay, Factor, LeftOut
+from hydrojax.identify.checking.balances import FLOW, NOT_NEGATIVE, OFFSETS
+from hydrojax.identify.checking.factors import Delay, Factor, LeftOut, Zero
 from hydrojax.identify.checking.inputs import Inputs
 from hydrojax.identify.checking.lines import (
     Lines,
@@ -77,8 +77,8 @@ class Finding:
 
     Attributes:
         input: a signal, or a key of the rig file; several are joined by commas.
-        finding: `sign`, `exchanged`, `unit`, `delay`, `held`, `factor`, `left out`,
-            `noise`, `stray`, `stuck`, `clipped` or `vacuum`.
+        finding: `sign`, `exchanged`, `unit`, `delay`, `held`, `zero`, `factor`,
+            `left out`, `noise`, `stray`, `stuck`, `clipped` or `vacuum`.
         factor: what the input is to be multiplied by; None where that mends nothing.
         error: RMS of the balance that shows it, as given; None where none does.
         error_if_mended: the same with the input mended.
@@ -229,6 +229,28 @@ def supply_like_gains(
     return Finding(
         "P_s", "factor", factor, None, None, "", says, lines, effects=effects
     )
+
+
+def of_zero(found: Zero, of: Inputs) -> Finding:
+    """A position whose zero is off."""
+    name, spec = of.motion, of.spec
+    if name == "x":
+        mid = float(f"{of.x_mid + found.off:.5g}")
+        lines: Lines = {"geometry": {"x_mid": text(mid, "m")}}
+    else:
+        ways = zip(OFFSETS, (1.0, -1.0), strict=True)
+        own = {n: spec.parameters[n].start + way * found.off for n, way in ways}
+        lines = {
+            "parameters": {n: text(float(f"{v:.4g}"), "m") for n, v in own.items()}
+        }
+    way = "beyond" if found.off > 0 else "short of"
+    says = (
+        f"the zero of {name} lies {1e3 * abs(found.off):.3g} mm {way} mid-stroke, "
+        f"as delta_1 and delta_2 are declared: write {written(lines)}"
+    )
+    size = stiffness(of)
+    errors = (size * found.given, size * found.mended)
+    return Finding(name, "zero", None, *errors, "Pa", says, lines)
 
 
 def of_delay(found: Delay, of: Inputs) -> Finding:

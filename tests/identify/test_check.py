@@ -17,11 +17,18 @@ from benchmarks.trace.lies import Traced, lies_of, named
 from hydrojax.identify.case import open_case
 from hydrojax.identify.checking import factors
 from hydrojax.identify.checking.balances import EDGES, FLOW, OFFSETS
+from hydrojax.identify.checking.factors import Zero
+from hydrojax.identify.checking.inputs import inputs_of
 from hydrojax.identify.checking.lines import applied, columns, resized, turned
 from hydrojax.identify.checking.mended import mended, read_again
 from hydrojax.identify.checking.regression import Fitted
 from hydrojax.identify.checking.sensors import channel_table
-from hydrojax.identify.checking.words import Finding, late_position, with_delay
+from hydrojax.identify.checking.words import (
+    Finding,
+    late_position,
+    of_zero,
+    with_delay,
+)
 from hydrojax.identify.late import _later
 
 TRIED = (
@@ -97,6 +104,47 @@ def test_the_mend_is_the_lie_undone(honest, name):
     assert first.factor == pytest.approx(true, rel=5e-3)
     assert first.error is not None and first.error_if_mended is not None
     assert first.error_if_mended < 0.8 * first.error
+
+
+def declared_volumes(rig, folder, both=1.0):
+    """The rig file with both volumes at their true values, times a factor."""
+    truth = json.loads((folder / "truth.json").read_text())["rig"]
+    lines = {n: f"{both * truth[n]:.6g} m" for n in OFFSETS}
+    return applied(rig, {"parameters": lines})
+
+
+@pytest.mark.parametrize("off", [-8e-3, 4e-3])
+def test_a_position_whose_zero_is_off_is_moved_back(honest, recorded, off):
+    rig, logs = honest
+    rig, radius = declared_volumes(rig, recorded(1)), rig.geometry["radius"]
+    lied = [
+        replace(log, signals=log.signals | {"psi": log.signals["psi"] + off / radius})
+        for log in logs
+    ]
+    (found,) = hj.check(rig, lied).found
+    assert (found.input, found.finding) == ("psi", "zero")
+    spec, (marked,) = mended(rig, [found])
+    assert marked.mended
+    moved = [spec.parameters[n].start - rig.parameters[n].start for n in OFFSETS]
+    assert moved == pytest.approx([off, -off], abs=0.05 * abs(off))
+    assert hj.check(spec, lied).found == ()
+
+
+@pytest.mark.parametrize("both", [1.0, 0.7])
+def test_volumes_that_are_smaller_both_are_no_zero(honest, recorded, both):
+    """Dead volume makes each chamber larger than it is declared."""
+    rig, logs = honest
+    assert hj.check(declared_volumes(rig, recorded(1), both), logs).found == ()
+
+
+@pytest.mark.parametrize("x_mid", [0.0, 0.15])
+def test_the_zero_of_a_position_is_written_where_the_rig_file_has_it(honest, x_mid):
+    rig, logs = honest
+    at = inputs_of(rig, logs)
+    at = replace(at, logged=at.logged - {"psi"} | {"x"}, x_mid=x_mid)
+    found = of_zero(Zero(6e-3, 2.0, 1.0), at)
+    assert (found.input, found.finding) == ("x", "zero")
+    assert found.lines == {"geometry": {"x_mid": f"{x_mid + 6e-3:g} m"}}
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from hydrojax.identify import api, late
 from hydrojax.identify.case import open_case
 from hydrojax.identify.checking.mended import mended, mended_case
 from hydrojax.identify.checking.words import late_position
+from hydrojax.identify.estimation.fit import fit_pressures
 from hydrojax.identify.late import (
     _lowest,
     with_command_between,
@@ -23,7 +24,7 @@ from hydrojax.identify.late import (
     with_late_position,
 )
 from hydrojax.identify.tracing.criteria import Criteria
-from hydrojax.identify.tracing.state import Added, Tracing
+from hydrojax.identify.tracing.state import Added, Tracing, free_names
 from hydrojax.rigfile.schema import RigFile
 from tests.pages import ROOT
 
@@ -207,3 +208,27 @@ def test_late_pressures_and_a_late_force_are_one_early_position(
     if called:
         assert (found[0].input, found[0].finding) == ("psi", "delay")
         assert "early" in found[0].says
+
+
+@pytest.mark.slow
+def test_a_command_between_rows_is_seen_that_balances_hardly_want(tmp_path):
+    """Of 500 Hz: half a tick is 490 kPa in a stiff chamber, and 14 % of a balance."""
+    pytest.importorskip("numba")
+    from benchmarks.blind.machines.make import make_case
+
+    make_case(44, tmp_path)
+    (folder,) = tmp_path.iterdir()
+    logs = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "validate")]
+    case = open_case(folder / "rig.toml", logs[:2], logs[2:])
+    names = ("valve_deadband", "return_overlap")
+    problem, _, free, effects = api._problems(case, names)
+    free = (*free, *(n for e in effects.values() for n in free_names(e)))
+    # Where a trace stands that has found both effects.
+    near = {"u_dbp": 0.028, "u_dbn": 0.023, "o_n1": 0.0078, "o_n2": -0.0018}
+    values = zip(problem.model.names, problem.initial_values(), strict=True)
+    start = np.array([near.get(n.split(".")[-1], v) for n, v in values])
+    enough = Criteria().enough_in_search
+    problem, values = fit_pressures(problem, start, free, enough)
+    at = (problem, SimpleNamespace(values=values), free, print)
+    (found,) = with_command_between(case, (), *at)
+    assert (found.input, found.finding) == ("u", "held")
