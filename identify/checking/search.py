@@ -46,6 +46,17 @@ FARTHEST = 4.0
 """Decades beyond which it does not matter by how many a value is odd."""
 PSI, INCH, POUND = constants.psi, 1e3 * constants.inch, constants.lbf
 """A psi in Pa, an inch in mm, a pound-force in N."""
+WIDE = 0.4
+"""Share of the largest command from which a chamber is taken to be filled."""
+SWINGS, FOLLOWS = 0.05, 0.5
+"""Share of its mean by which a supply varies, and its correlation with the load, from
+which it is taken to follow the load."""
+SLOPES = (1e-30, 2.0)
+"""Slopes of a supply over the load that pumps have; one that follows it has 1. Twice
+the declared pressure is too much as well."""
+SURER = 5.0
+"""What a decade of its slope over the load counts, in decades of the flow that is left:
+a compensated flow is closed better by a supply that is too high."""
 VACUUM = -1.5e5
 """Pa: a gauge that reads less, by more than its offset, is turned round."""
 
@@ -200,7 +211,10 @@ def _odd_signals(of: Inputs) -> dict[str, float]:
         out["travel"] = _beyond(far, 0.0 + 1e-30, of.geometry.length / 2 + more)
     P_s = _highest_supply(of)
     if of.has_flow:
-        out["P_s"] = _beyond(max(P_s, 1.0), *SUPPLIES)
+        declared = of.spec.supply.get("P_s", np.inf)
+        most = min(SUPPLIES[1], SLOPES[1] * declared)
+        out["P_s"] = _beyond(max(P_s, 1.0), SUPPLIES[0], most)
+        out["P_s"] += _beyond(_load_slope(of) or 1.0, *SLOPES)
     for i, name in enumerate(("P_a1", "P_a2")):
         if name in of.logged:
             own = np.concatenate([s.P[:, i] for s in of.stretches])
@@ -273,17 +287,50 @@ def _likeliest(
     )
 
 
-def _from_declared(of: Inputs, mend: Mend) -> float:
-    """Decades between the logged supply pressure, mended, and that of the rig file,
-    which tells units apart where the flow does not; 0 where one of the two is not
-    there. It blames no input: a pump that follows the load, or a run at a low pressure,
-    stays below what is declared.
+def _load_slope(of: Inputs) -> float | None:
+    """How many Pa the supply rises by for each that the filled chamber does, where the
+    command is large; None where it does not follow the load.
+
+    The geometric mean of the least-squares slope, which noise and delay flatten, and of
+    the ratio of standard deviations, which they steepen (`benchmarks.machines`: 0.90 to
+    1.03 of 14 load-sensing pumps).
     """
-    declared = of.spec.supply.get("P_s")
-    if declared is None or "P_s" not in of.logged:
+    if not {"P_s", "P_a1", "P_a2"} <= of.logged:
+        return None
+    u, P, P_s = (
+        np.concatenate([getattr(s, n) for s in of.stretches]) for n in ("u", "P", "P_s")
+    )
+    far = np.abs(u) > WIDE * np.quantile(np.abs(u), 0.99)
+    u, P, supply = u[far], P[far], P_s[far]
+    # The one that is filled, or the other where a sign or an exchange is still wrong.
+    loads = (np.where(u > 0, *P.T), np.where(u > 0, *P[:, ::-1].T))
+    if (
+        np.std(supply) < SWINGS * np.mean(np.abs(supply))
+        or np.std(P, axis=0).min() == 0
+    ):
+        return None
+    r = [float(np.corrcoef(load, supply)[0, 1]) for load in loads]
+    best = int(np.argmax(r))
+    steep = float(np.std(supply) / np.std(loads[best]))
+    return float(np.sqrt(r[best])) * steep if r[best] > FOLLOWS else None
+
+
+def _off_supply(of: Inputs, mend: Mend) -> float:
+    """Decades by which a mended supply pressure is off what else is known of it, which
+    tells units apart where the flow does not; 0 where nothing is.
+
+    A pump that follows the load rises as much as the load does, to no more than the rig
+    file declares; any other is as high. It blames no input: a run at a low pressure is
+    below that.
+    """
+    if "P_s" not in of.logged:
         return 0.0
-    highest = _highest_supply(mend.applied(of))
-    return abs(float(np.log10(max(highest, 1.0) / declared)))
+    there, declared = mend.applied(of), of.spec.supply.get("P_s")
+    highest, slope = max(_highest_supply(there), 1.0), _load_slope(there)
+    if slope is None:
+        return abs(float(np.log10(highest / declared))) if declared else 0.0
+    far = _beyond(highest, declared / 5, 1.3 * declared) if declared else 0.0
+    return SURER * abs(float(np.log10(slope))) + far
 
 
 def mends_wanted(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
@@ -303,7 +350,7 @@ def mends_wanted(of: Inputs) -> list[tuple[Mend, Trial, Trial]]:
             # They are many: the valve's path is looked for anew behind the best only.
             near = _on_path(now) if slow else now
             units = [(m, tried(m.applied(near))) for m in unit_mends(now)]
-            unit = _likeliest(units, SAME, partial(_from_declared, now))[0]
+            unit = _likeliest(units, SAME, partial(_off_supply, now))[0]
             there = unit.applied(now)
             if before.suspicious or _beside_effects(near, _on_path(there)) > CLEAR:
                 trials.append((unit, judged(there)))

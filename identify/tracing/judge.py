@@ -11,9 +11,13 @@ from scipy import stats
 from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.criteria import Criteria
 from hydrojax.identify.tracing.state import Tracing
-from hydrojax.parameters import specs
+from hydrojax.parameters import Spec, specs
 from hydrojax.plant.effect import Effect
 from hydrojax.plant.places import place_of
+
+SHORTEST = 0.01
+"""Share of a step of the logs up to which a delay or a time constant is none (seen: 5
+us of a valve at 500 Hz, beyond chance)."""
 
 
 def judge(
@@ -104,10 +108,17 @@ def worsened(
 def negligible(
     problem: Problem, values: Float[np.ndarray, "n"], effect: Effect
 ) -> bool:
-    """Whether none of an effect's strengths came out above the least that is it."""
+    """Whether none of an effect's strengths came out above the least that is it; of a
+    time that is a share of a row, for what less does to a log is rounding.
+    """
     names = problem.model.names
+    row = SHORTEST * float(np.median(np.asarray(problem.batch.windows.h)))
+
+    def least(spec: Spec) -> float:
+        return max(spec.minimum, row) if spec.unit == "s" else spec.minimum
+
     return all(
-        abs(values[names.index(f"{effect.name}.{field}")]) <= s.minimum
+        abs(values[names.index(f"{effect.name}.{field}")]) <= least(s)
         for field, s in specs(effect).items()
         if s.strength
     )
