@@ -17,6 +17,7 @@ from jaxtyping import Float
 from hydrojax.effects import EFFECTS
 from hydrojax.errors import InputError, one_line
 from hydrojax.identify.preparation.data import Data, driver, prepare_logs, runs_backward
+from hydrojax.identify.preparation.jolts import without_jolts
 from hydrojax.identify.preparation.noise import channel_noise
 from hydrojax.identify.preparation.resolution import NoiseBy, resolve
 from hydrojax.identify.preparation.segments import common_band
@@ -27,7 +28,7 @@ from hydrojax.logs.tables import Channel
 from hydrojax.parameters import specs
 from hydrojax.programs import compiled
 from hydrojax.programs.compiled import make_room
-from hydrojax.rigfile.build import over_travel
+from hydrojax.rigfile.build import build_rig, over_travel
 from hydrojax.rigfile.schema import RigFile
 
 RigSource = str | Path | RigFile
@@ -302,6 +303,13 @@ def _prepared(
     driven_by = driver(every, spec)
     band = common_band(every, spec, driven_by, criteria)
     noise = channel_noise(every, spec, driven_by)
+    if driven_by == "u":
+        rig = build_rig(spec)
+        fitted, others, tests = (
+            tuple(without_jolts(log, spec, rig, noise) for log in group)
+            for group in (fitted, others, tests)
+        )
+        every = (*fitted, *others)
 
     def ready(
         logs: Sequence[Log],

@@ -15,6 +15,7 @@ from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.in_balances import elsewhere, together
 from hydrojax.identify.tracing.judge import (
     as_good,
+    at_noise,
     better,
     chance,
     cost,
@@ -261,12 +262,12 @@ def _round(
         after = state.check.errors_at(point.values)
         by = may_rise(state, [effects[s.name]], noise)
         tried[s.name] = judge(state, before, after, noise, by)
-        if negligible(problem, point.values, effects[s.name]):
+        quiet = at_noise(state, after, noise)
+        if negligible(problem, point.values, effects[s.name], quiet):
             tried[s.name] = "too small"
         spoils = tried[s.name] == "spoils another channel"
         spent += tried[s.name] == "helps" or not (spoils or s.name in ahead)
-        quiet = state.check.rms(after) <= (1 + criteria.matters) * noise
-        if tried[s.name] == "helps" and np.all(quiet[np.isfinite(noise)]):
+        if tried[s.name] == "helps" and quiet:
             tries = 1  # nothing is left: only what comes as near may be the cause
         if tried[s.name] == "helps":
             helped.append((cost(after, noise), s.name, problem, point, after))

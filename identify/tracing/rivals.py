@@ -16,6 +16,7 @@ from hydrojax.identify.preparation.resolution import NoiseBy
 from hydrojax.identify.tracing.grids import bases
 from hydrojax.identify.tracing.in_balances import near_in_balances
 from hydrojax.identify.tracing.judge import (
+    at_noise,
     better,
     chance,
     judge,
@@ -59,7 +60,9 @@ def shed(state: Tracing) -> Tracing:
     """
     noise = state.noise
     for name in [a.name for a in state.added]:
-        if negligible(state.problem, state.point.values, state.effects[name]):
+        quiet = at_noise(state, state.errors, noise)
+        effect = state.effects[name]
+        if negligible(state.problem, state.point.values, effect, quiet):
             state.progress(f"let go of {name}")
             less = taken_out(state, name)
             if np.any(_rms(less) > _rms(state) + state.criteria.matters * noise):
@@ -200,7 +203,8 @@ def _exchanged(
     for rival, problem, point in _in_place_of(state, name, rivals, noise):
         after = state.check.errors_at(point.values)
         by = may_rise(state, [rivals[rival]], noise)
-        if negligible(problem, point.values, rivals[rival]):
+        quiet = at_noise(state, after, noise)
+        if negligible(problem, point.values, rivals[rival], quiet):
             continue
         if judge(state, own, after, noise, by) != "helps":
             continue
@@ -281,7 +285,9 @@ def with_look_alikes(state: Tracing) -> Tracing:
             s = scores_of(less, {name: state.effects[name]}, noise)[name]
             problem, point = refit(less, state.effects[name], s, noise)
             after = less.check.errors_at(point.values)
-            small = negligible(problem, point.values, state.effects[name])
+            quiet = at_noise(state, after, noise)
+            effect = state.effects[name]
+            small = negligible(problem, point.values, effect, quiet)
             if not small and not worse(after, own, noise, criteria):
                 alike.append(name)
         added.append(replace(a, cannot_tell_from=tuple(alike)))
