@@ -224,30 +224,49 @@ class ValveLag(Spool):
 
     def step(self, memory, u, h, slowness=0.0):
         y, rate = memory  # the spool's place, and its rate times tau
-        off = y - u
-        absent = self.tau <= 0
-        zeta = self.zeta
-        cos, sin = (
-            jnp.where(absent, 0.0, part)
-            for part in free_motion(zeta, h / jnp.where(absent, 1.0, self.tau))
-        )
-        off_new = (cos + zeta * sin) * off + sin * rate
-        rate_new = -sin * off + (cos - zeta * sin) * rate
-        # Integral of the offset over the tick, from A^-1 (e^{Ah} - 1).
-        area = self.tau * (2 * zeta * (off - off_new) + (rate - rate_new))
-        end, mean = u + off_new, u + area / h
-
-        way = end - y
-        need = slowness * jnp.abs(way)  # seconds to get there
-        late = need > h
-        most = jnp.where(way < 0, -1.0, 1.0) * h / jnp.where(late, slowness, 1.0)
+        off, absent = y - u, self.tau <= 0
+        tau, zeta = jnp.where(absent, 1.0, self.tau), self.zeta
+        limited = (slowness > 0) & ~absent
+        top = tau / jnp.where(limited, slowness, 1.0)
+        # At its limit it runs on until the spring no longer pushes it beyond.
+        way = jnp.where(rate < 0, -1.0, 1.0)
+        to_go = way * (-2 * zeta * rate - off)
+        held = limited & (jnp.abs(rate) >= (1 - 1e-9) * top) & (to_go > 0)
+        first = jnp.where(held, jnp.minimum(tau * to_go / top, h), 0.0)
+        begun = off + rate * first / tau
+        left = h - first
+        off_new, rate_new = self._free(begun, rate, left / tau, absent)
+        fast = limited & (jnp.abs(rate_new) > top)
+        aim = jnp.where(rate_new < 0, -top, top)
+        # And from when it reaches it: rates change nearly straight over a part.
+        share = (aim - rate) / jnp.where(fast, rate_new - rate, 1.0)
+        until = jnp.where(fast, left * jnp.clip(share, 0.0, 1.0), left)
+        there, reached = self._free(begun, rate, until / tau, absent)
+        rate_new = jnp.where(fast, aim, reached)
+        rest = left - until
+        off_new = there + rate_new * rest / tau
+        # Integral of the offset over the tick; that of free motion from
+        # A^-1 (e^{At} - 1).
+        area = self.tau * (2 * zeta * (begun - there) + (rate - reached))
+        run_on = first * (off + begun) / 2 + rest * (there + off_new) / 2
         # A spool without inertia jumps, and loses the area of a ramp.
-        mean = mean - jnp.where(absent, 0.5 * way * need / h, 0.0)
-        fast = slowness * jnp.abs(rate_new) > self.tau
-        top = self.tau / jnp.where(fast, slowness, 1.0)
-        rate_new = jnp.where(fast, jnp.where(rate_new < 0, -top, top), rate_new)
+        need = jnp.where(absent, slowness * jnp.abs(off), 0.0)  # seconds to get there
+        late = need > h
+        most = jnp.where(off > 0, -1.0, 1.0) * h / jnp.where(late, slowness, 1.0)
+        end = u + jnp.where(absent, 0.0, off_new)
+        mean = u + (area + run_on + 0.5 * off * need) / h
         memory = jnp.where(late, y + most, end), rate_new
         return memory, jnp.where(late, y + most / 2, mean)
+
+    def _free(self, off, rate, s, absent):
+        """Offset and rate (times tau) after a time `s` (times omega) without a limit; a
+        spool without inertia is there at once.
+        """
+        cos, sin = (jnp.where(absent, 0.0, p) for p in free_motion(self.zeta, s))
+        return (
+            (cos + self.zeta * sin) * off + sin * rate,
+            -sin * off + (cos - self.zeta * sin) * rate,
+        )
 
 
 class ValveDeadband(CommandChannel):
