@@ -325,7 +325,9 @@ def _off_supply(of: Inputs, mend: Mend) -> float:
     """
     if "P_s" not in of.logged:
         return 0.0
-    there, declared = mend.applied(of), of.spec.supply.get("P_s")
+    # One gauge by itself says nothing of the load.
+    one = len({"P_a1", "P_a2"} & set(mend.inputs)) == 1
+    there, declared = of if one else mend.applied(of), of.spec.supply.get("P_s")
     highest, slope = max(_highest_supply(there), 1.0), _load_slope(there)
     if slope is None:
         return abs(float(np.log10(highest / declared))) if declared else 0.0
