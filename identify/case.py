@@ -288,6 +288,16 @@ def _with_command_unit(spec: RigFile, logs: Sequence[Log]) -> RigFile:
     return spec
 
 
+def _followed(
+    groups: Sequence[Sequence[Log]], spec: RigFile, noise: Float[np.ndarray, "3"]
+) -> tuple[tuple[Log, ...], ...]:
+    """Groups of logs without rows that do not tell how the position moved."""
+    rig = build_rig(spec)
+    return tuple(
+        tuple(without_jolts(log, spec, rig, noise) for log in group) for group in groups
+    )
+
+
 def _prepared(
     spec: RigFile,
     fitted: tuple[Log, ...],
@@ -304,11 +314,7 @@ def _prepared(
     band = common_band(every, spec, driven_by, criteria)
     noise = channel_noise(every, spec, driven_by)
     if driven_by == "u":
-        rig = build_rig(spec)
-        fitted, others, tests = (
-            tuple(without_jolts(log, spec, rig, noise) for log in group)
-            for group in (fitted, others, tests)
-        )
+        fitted, others, tests = _followed((fitted, others, tests), spec, noise)
         every = (*fitted, *others)
 
     def ready(

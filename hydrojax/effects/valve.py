@@ -226,6 +226,7 @@ class ValveLag(Spool):
         y, rate = memory  # the spool's place, and its rate times tau
         off, absent = y - u, self.tau <= 0
         tau, zeta = jnp.where(absent, 1.0, self.tau), self.zeta
+        slowness = jnp.asarray(slowness)
         limited = (slowness > 0) & ~absent
         top = tau / jnp.where(limited, slowness, 1.0)
         # At its limit it runs on until the spring no longer pushes it beyond.

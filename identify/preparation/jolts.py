@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from scipy import interpolate, ndimage
 
 from hydrojax.logs.log import Log
@@ -63,7 +63,7 @@ def without_jolts(
     pieces = tuple(
         (start + int(a), start + int(b))
         for start, stop in log.segments
-        for a, b in np.flatnonzero(np.diff(np.pad(~out[start:stop], 1))).reshape(-1, 2)
+        for a, b in _runs(np.logical_not(out[start:stop]))
     )
     seconds = [log.time[b - 1] - log.time[a] for a, b in pieces]
     kept = sum(b - a for (a, b), s in zip(pieces, seconds, strict=True) if s > LASTING)
@@ -87,3 +87,8 @@ def _off_the_others(
         off[left] = x[left] - through(t[left])
     off[:6] = off[-6:] = 0.0  # a spline's ends
     return off
+
+
+def _runs(own: Bool[np.ndarray, "rows"]) -> Int[np.ndarray, "runs 2"]:
+    """Where runs of rows begin and end."""
+    return np.flatnonzero(np.diff(np.pad(own, 1))).reshape(-1, 2)
