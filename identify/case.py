@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,8 @@ class Preparation:
         sign: -1.0 if the motion is turned round, else 1.0.
         band: Hz up to which motion is differentiated.
         criteria: the thresholds.
-        smoothed: takes the noise off what drives a log.
+        smoothed: takes the noise off what drives a log, and rows that do not tell how
+            the position moved.
         still: m within which a position is taken to rest; see `prepare_logs`.
     """
 
@@ -288,14 +290,13 @@ def _with_command_unit(spec: RigFile, logs: Sequence[Log]) -> RigFile:
     return spec
 
 
-def _followed(
-    groups: Sequence[Sequence[Log]], spec: RigFile, noise: Float[np.ndarray, "3"]
-) -> tuple[tuple[Log, ...], ...]:
-    """Groups of logs without rows that do not tell how the position moved."""
-    rig = build_rig(spec)
-    return tuple(
-        tuple(without_jolts(log, spec, rig, noise) for log in group) for group in groups
-    )
+def _follower(
+    spec: RigFile, noise: Float[np.ndarray, "3"], driven_by: str
+) -> Callable[[Log], Log]:
+    """What leaves out of a log the rows that do not tell how the position moved."""
+    if driven_by != "u":
+        return lambda log: log
+    return partial(without_jolts, spec=spec, rig=build_rig(spec), noise=noise)
 
 
 def _prepared(
@@ -313,9 +314,9 @@ def _prepared(
     driven_by = driver(every, spec)
     band = common_band(every, spec, driven_by, criteria)
     noise = channel_noise(every, spec, driven_by)
-    if driven_by == "u":
-        fitted, others, tests = _followed((fitted, others, tests), spec, noise)
-        every = (*fitted, *others)
+    followed = _follower(spec, noise, driven_by)
+    fitted, others = (tuple(map(followed, group)) for group in (fitted, others))
+    every = (*fitted, *others)
 
     def ready(
         logs: Sequence[Log],
@@ -349,8 +350,9 @@ def _prepared(
     fit = replace(fit, notes=tuple(dict.fromkeys(said)))
     spec = over_travel(spec, fit.travel)
     own = Preparation(
-        spec, horizon, check.noise, sign, band, criteria, found.smoothed, still
-    )
+        spec, horizon, check.noise, sign, band, criteria,
+        lambda log: found.smoothed(followed(log)), still,
+    )  # fmt: skip
     return Case(
         spec, fit, check, fitted, others or fitted, bool(others), own,
         own.data(tests) if tests else None, tests, as_read, found.noise_by,

@@ -47,11 +47,16 @@ def resized(spec: RigFile, names: Sequence[str], factor: float) -> Lines:
         section, unit, old = "supply", "Pa", spec.line.get(name, 0.0)
         if name in GEOMETRY:
             section, unit, old = "geometry", GEOMETRY[name], spec.geometry[name]
-        line = text(factor * old, unit)
-        if name in spec.tolerances and old:
-            line += f" +- {100 * spec.tolerances[name] / abs(old):.3g} %"
+        line = known(factor * old, unit, abs(factor) * spec.tolerances.get(name, 0.0))
         lines.setdefault(section, {})[name] = line
     return lines
+
+
+def known(value: float, unit: str, tolerance: float) -> str:
+    """A plain quantity with its tolerance, in the same unit, if there is one."""
+    if not (tolerance and value):
+        return text(value, unit)
+    return f"{text(value, unit)} +- {100 * tolerance / abs(value):.3g} %"
 
 
 def turned(spec: RigFile, names: Sequence[str]) -> Lines:

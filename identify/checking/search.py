@@ -51,9 +51,13 @@ WIDE = 0.4
 SWINGS, FOLLOWS = 0.05, 0.5
 """Share of its mean by which a supply varies, and its correlation with the load, from
 which it is taken to follow the load."""
-SLOPES = (1e-30, 2.0)
-"""Slopes of a supply over the load that pumps have; one that follows it has 1. Twice
-the declared pressure is too much as well."""
+STEEPEST = 3.0
+"""Slope of a supply over the load from which it is odd: one that follows it has 1, and
+units differ by 6.9 on."""
+DECLARED = (0.2, 1.3)
+"""Shares of the declared pressure that a pump which follows the load comes to."""
+HIGHEST = 2.0
+"""Times the declared pressure from which any supply is odd."""
 SURER = 5.0
 """What a decade of its slope over the load counts, in decades of the flow that is left:
 a compensated flow is closed better by a supply that is too high."""
@@ -211,10 +215,9 @@ def _odd_signals(of: Inputs) -> dict[str, float]:
         out["travel"] = _beyond(far, 0.0 + 1e-30, of.geometry.length / 2 + more)
     P_s = _highest_supply(of)
     if of.has_flow:
-        declared = of.spec.supply.get("P_s", np.inf)
-        most = min(SUPPLIES[1], SLOPES[1] * declared)
+        most = min(SUPPLIES[1], HIGHEST * of.spec.supply.get("P_s", np.inf))
         out["P_s"] = _beyond(max(P_s, 1.0), SUPPLIES[0], most)
-        out["P_s"] += _beyond(_load_slope(of) or 1.0, *SLOPES)
+        out["P_s"] += _beyond(_load_slope(of) or 1.0, 1e-30, STEEPEST)
     for i, name in enumerate(("P_a1", "P_a2")):
         if name in of.logged:
             own = np.concatenate([s.P[:, i] for s in of.stretches])
@@ -292,10 +295,9 @@ def _load_slope(of: Inputs) -> float | None:
     command is large; None where it does not follow the load.
 
     The geometric mean of the least-squares slope, which noise and delay flatten, and of
-    the ratio of standard deviations, which they steepen (`benchmarks.machines`: 0.90 to
-    1.03 of 14 load-sensing pumps).
+    the ratio of standard deviations, which they steepen.
     """
-    if not {"P_s", "P_a1", "P_a2"} <= of.logged:
+    if not {"u", "P_s", "P_a1", "P_a2"} <= of.logged:
         return None
     u, P, P_s = (
         np.concatenate([getattr(s, n) for s in of.stretches]) for n in ("u", "P", "P_s")
@@ -304,10 +306,8 @@ def _load_slope(of: Inputs) -> float | None:
     u, P, supply = u[far], P[far], P_s[far]
     # The one that is filled, or the other where a sign or an exchange is still wrong.
     loads = (np.where(u > 0, *P.T), np.where(u > 0, *P[:, ::-1].T))
-    if (
-        np.std(supply) < SWINGS * np.mean(np.abs(supply))
-        or np.std(P, axis=0).min() == 0
-    ):
+    steady = np.std(supply) <= SWINGS * np.mean(np.abs(supply))
+    if steady or not np.std(loads, axis=1).all():
         return None
     r = [float(np.corrcoef(load, supply)[0, 1]) for load in loads]
     best = int(np.argmax(r))
@@ -331,7 +331,8 @@ def _off_supply(of: Inputs, mend: Mend) -> float:
     highest, slope = max(_highest_supply(there), 1.0), _load_slope(there)
     if slope is None:
         return abs(float(np.log10(highest / declared))) if declared else 0.0
-    far = _beyond(highest, declared / 5, 1.3 * declared) if declared else 0.0
+    ends = (share * (declared or highest) for share in DECLARED)
+    far = _beyond(highest, *ends)
     return SURER * abs(float(np.log10(slope))) + far
 
 

@@ -17,6 +17,7 @@ from hydrojax.identify.checking.lines import (
     Lines,
     columns,
     exchanged,
+    known,
     resized,
     scaled,
     turned,
@@ -235,14 +236,16 @@ def of_zero(found: Zero, of: Inputs) -> Finding:
     """A position whose zero is off."""
     name, spec = of.motion, of.spec
     if name == "x":
-        mid = float(f"{of.x_mid + found.off:.5g}")
-        lines: Lines = {"geometry": {"x_mid": text(mid, "m")}}
+        mid = float(f"{spec.geometry.get('x_mid', 0.0) + found.off:.5g}")
+        tolerance = spec.tolerances.get("x_mid", 0.0)
+        lines: Lines = {"geometry": {"x_mid": known(mid, "m", tolerance)}}
     else:
-        ways = zip(OFFSETS, (1.0, -1.0), strict=True)
-        own = {n: spec.parameters[n].start + way * found.off for n, way in ways}
-        lines = {
-            "parameters": {n: text(float(f"{v:.4g}"), "m") for n, v in own.items()}
-        }
+        own = {}
+        for n, way in zip(OFFSETS, (1.0, -1.0), strict=True):
+            old = spec.parameters[n]
+            moved = float(f"{old.start + way * found.off:.4g}")
+            own[n] = known(moved, "m", old.tolerance)
+        lines = {"parameters": own}
     way = "beyond" if found.off > 0 else "short of"
     says = (
         f"the zero of {name} lies {1e3 * abs(found.off):.3g} mm {way} mid-stroke, "

@@ -16,7 +16,7 @@ from hydrojax.rigfile.schema import RigFile
 
 SURE = 6.0
 """Times what every other row is usually off a spline through the rest from which it is
-more than noise: of logs without a jolt all stay below 5 (`benchmarks.machines`)."""
+more than noise. A choice: one row in 5e8 of normal noise is as far off."""
 SHOWS = 3.0
 """Times a pressure's noise from which it shows there that a position is not known."""
 COARSER = 4.0
@@ -39,6 +39,9 @@ def without_jolts(
     """The log without rows between which the piston moved in a way that they do not
     tell: a valve that shuts shakes a load within 10 ms, and the oil answers each
     micrometre. The log itself where there are none, or too many.
+
+    Every other row is held against a spline through the rest: a kink between two rows
+    shows there four times as large as between all of them.
 
     Args:
         log: whose position drives a replay.

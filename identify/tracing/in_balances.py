@@ -71,7 +71,7 @@ def together(state: Tracing, effects: Mapping[str, Effect]) -> Iterator[Tracing]
             (name, fit)
             for name, own_fits in found.items()
             for fit in own_fits
-            if not negligible(search.problem, fit.values, effects[name], False)
+            if not negligible(search.problem, fit.values, effects[name])
         ]
         if not fits:
             return

@@ -106,41 +106,22 @@ def worsened(
 
 
 def negligible(
-    problem: Problem,
-    values: Float[np.ndarray, "n"],
-    effect: Effect,
-    quiet: bool,
+    problem: Problem, values: Float[np.ndarray, "n"], effect: Effect
 ) -> bool:
-    """Whether none of an effect's strengths came out above the least that is it.
-
-    Where all channels are `quiet` with it, nothing is left that something else does: a
-    size has no least then. A time has, and that of a share of a row: what less does to
-    a log is rounding.
+    """Whether none of an effect's strengths came out above the least that is it; of a
+    time that is a share of a row, for what less does to a log is rounding.
     """
     names = problem.model.names
     row = SHORTEST * float(np.median(np.asarray(problem.batch.windows.h)))
 
     def least(spec: Spec) -> float:
-        if spec.unit == "s":
-            return max(spec.minimum, row)
-        return 0.0 if quiet else spec.minimum
+        return max(spec.minimum, row) if spec.unit == "s" else spec.minimum
 
     return all(
         abs(values[names.index(f"{effect.name}.{field}")]) <= least(s)
         for field, s in specs(effect).items()
         if s.strength
     )
-
-
-def at_noise(
-    state: Tracing,
-    errors: Float[np.ndarray, "windows 3"],
-    noise: Float[np.ndarray, "3"],
-) -> bool:
-    """Whether validation errors are at the noise in every channel that is compared."""
-    seen = np.isfinite(noise)
-    quiet = state.check.rms(errors) <= (1 + state.criteria.matters) * noise
-    return bool(np.all(quiet[seen]))
 
 
 def _falls(before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -15,7 +15,6 @@ from hydrojax.identify.estimation.problem import PRESSURES, Problem
 from hydrojax.identify.tracing.in_balances import elsewhere, together
 from hydrojax.identify.tracing.judge import (
     as_good,
-    at_noise,
     better,
     chance,
     cost,
@@ -262,12 +261,12 @@ def _round(
         after = state.check.errors_at(point.values)
         by = may_rise(state, [effects[s.name]], noise)
         tried[s.name] = judge(state, before, after, noise, by)
-        quiet = at_noise(state, after, noise)
-        if negligible(problem, point.values, effects[s.name], quiet):
+        if negligible(problem, point.values, effects[s.name]):
             tried[s.name] = "too small"
         spoils = tried[s.name] == "spoils another channel"
         spent += tried[s.name] == "helps" or not (spoils or s.name in ahead)
-        if tried[s.name] == "helps" and quiet:
+        quiet = state.check.rms(after) <= (1 + criteria.matters) * noise
+        if tried[s.name] == "helps" and np.all(quiet[np.isfinite(noise)]):
             tries = 1  # nothing is left: only what comes as near may be the cause
         if tried[s.name] == "helps":
             helped.append((cost(after, noise), s.name, problem, point, after))

@@ -16,7 +16,6 @@ from hydrojax.identify.preparation.resolution import NoiseBy
 from hydrojax.identify.tracing.grids import bases
 from hydrojax.identify.tracing.in_balances import near_in_balances
 from hydrojax.identify.tracing.judge import (
-    at_noise,
     better,
     chance,
     judge,
@@ -60,9 +59,7 @@ def shed(state: Tracing) -> Tracing:
     """
     noise = state.noise
     for name in [a.name for a in state.added]:
-        quiet = at_noise(state, state.errors, noise)
-        effect = state.effects[name]
-        if negligible(state.problem, state.point.values, effect, quiet):
+        if negligible(state.problem, state.point.values, state.effects[name]):
             state.progress(f"let go of {name}")
             less = taken_out(state, name)
             if np.any(_rms(less) > _rms(state) + state.criteria.matters * noise):
@@ -203,8 +200,7 @@ def _exchanged(
     for rival, problem, point in _in_place_of(state, name, rivals, noise):
         after = state.check.errors_at(point.values)
         by = may_rise(state, [rivals[rival]], noise)
-        quiet = at_noise(state, after, noise)
-        if negligible(problem, point.values, rivals[rival], quiet):
+        if negligible(problem, point.values, rivals[rival]):
             continue
         if judge(state, own, after, noise, by) != "helps":
             continue
@@ -285,9 +281,7 @@ def with_look_alikes(state: Tracing) -> Tracing:
             s = scores_of(less, {name: state.effects[name]}, noise)[name]
             problem, point = refit(less, state.effects[name], s, noise)
             after = less.check.errors_at(point.values)
-            quiet = at_noise(state, after, noise)
-            effect = state.effects[name]
-            small = negligible(problem, point.values, effect, quiet)
+            small = negligible(problem, point.values, state.effects[name])
             if not small and not worse(after, own, noise, criteria):
                 alike.append(name)
         added.append(replace(a, cannot_tell_from=tuple(alike)))

@@ -140,8 +140,9 @@ def test_volumes_that_are_smaller_both_are_no_zero(honest, recorded, both):
 @pytest.mark.parametrize("x_mid", [0.0, 0.15])
 def test_the_zero_of_a_position_is_written_where_the_rig_file_has_it(honest, x_mid):
     rig, logs = honest
+    rig = applied(rig, {"geometry": {"x_mid": f"{x_mid} m"}})
     at = inputs_of(rig, logs)
-    at = replace(at, logged=at.logged - {"psi"} | {"x"}, x_mid=x_mid)
+    at = replace(at, logged=at.logged - {"psi"} | {"x"})
     found = of_zero(Zero(6e-3, 2.0, 1.0), at)
     assert (found.input, found.finding) == ("x", "zero")
     assert found.lines == {"geometry": {"x_mid": f"{x_mid + 6e-3:g} m"}}

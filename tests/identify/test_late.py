@@ -106,16 +106,21 @@ def test_what_a_model_lacks_is_not_a_late_position(seed, tmp_path):
     assert with_late_position(case, (), state, print) == ()
 
 
-@pytest.mark.slow
-def test_a_command_that_runs_on_between_rows_is_seen(tmp_path):
-    """An operator's, at 250 Hz, of a valve that is declared to act at once."""
+def operated(number, folder):
+    """A machine of `benchmarks.blind`, whose command runs on between rows."""
     pytest.importorskip("numba")
     from benchmarks.blind.machines.make import make_case
 
-    make_case(24, tmp_path)
-    (folder,) = tmp_path.iterdir()
-    logs = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "validate")]
-    case = open_case(folder / "rig.toml", logs[:2], logs[2:])
+    make_case(number, folder)
+    (own,) = folder.iterdir()
+    logs = [own / f"{name}.csv" for name in ("fit_1", "fit_2", "validate")]
+    return open_case(own / "rig.toml", logs[:2], logs[2:])
+
+
+@pytest.mark.slow
+def test_a_command_that_runs_on_between_rows_is_seen(tmp_path):
+    """An operator's, at 250 Hz, of a valve that is declared to act at once."""
+    case = operated(24, tmp_path)
     state = ended(case)
     at = (state.problem, state.point, state.free, print)
     (found,) = with_command_between(case, (), *at)
@@ -212,14 +217,8 @@ def test_late_pressures_and_a_late_force_are_one_early_position(
 
 @pytest.mark.slow
 def test_a_command_between_rows_is_seen_that_balances_hardly_want(tmp_path):
-    """Of 500 Hz: half a tick is 490 kPa in a stiff chamber, and 14 % of a balance."""
-    pytest.importorskip("numba")
-    from benchmarks.blind.machines.make import make_case
-
-    make_case(44, tmp_path)
-    (folder,) = tmp_path.iterdir()
-    logs = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "validate")]
-    case = open_case(folder / "rig.toml", logs[:2], logs[2:])
+    """At 500 Hz, of a stiff chamber."""
+    case = operated(44, tmp_path)
     names = ("valve_deadband", "return_overlap")
     problem, _, free, effects = api._problems(case, names)
     free = (*free, *(n for e in effects.values() for n in free_names(e)))

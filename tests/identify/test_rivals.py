@@ -132,7 +132,7 @@ def test_what_was_found_beside_an_effect_that_is_let_go_is_fitted_again(
     state.point.values[[strong, weak]] = 2e-13, 1e-14
     own = set(free_names(state.effects[WRONG]))
 
-    def least_is_more(problem, values, effect, quiet):
+    def least_is_more(problem, values, effect):
         return effect.name == WRONG
 
     def fit_from(less, values, free, noise):

@@ -224,6 +224,21 @@ def test_a_limit_holds_while_the_spool_moves(r_v, s):
     assert r_v > 30 or np.max(np.abs(got - other)) > 0.05
 
 
+def test_a_spool_at_its_limit_has_the_derivatives_that_differences_have():
+    u = np.repeat([0.0, 0.9, -0.4, -0.3, 0.0], 25)
+    weights = np.random.default_rng(0).normal(size=u.size)
+
+    def of(p):
+        limit = ValveRateLimit(slew=p[0], s=1.0)
+        return weights @ rigged([limit, ValveLag(tau=p[1], zeta=p[2])], u, 0.01)
+
+    at = jnp.array([1 / 3.0, 1 / 30.0, 0.66])
+    got = jax.grad(of)(at)
+    steps = 1e-6 * np.diag(at)
+    want = [(of(at + d) - of(at - d)) / (2 * d.sum()) for d in steps]
+    assert np.allclose(got, want, rtol=1e-4)
+
+
 def test_a_limit_is_its_own_where_the_spool_has_no_inertia():
     u = held(60)
     for s in (0.0, 0.4, 1.0):
